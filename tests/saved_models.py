@@ -183,7 +183,19 @@ def _beam(model):
 
 def _of_layout_6():
     segment = replace(
-        BEAM, shear_modulus=jnp.asarray(81e9), continues=jnp.array([1.0, 0.0])
+        BEAM,
+        shear_modulus=jnp.asarray(81e9),
+        continues=jnp.array([1.0, 0.0]),
+        breaks=jnp.array([-0.04, -0.03, 0.03, 0.04]),
+    )
+    reinforced = SectionStress(
+        arm=jnp.asarray(0.05),
+        thickness=COLUMN.thickness,
+        width=COLUMN.width,
+        ratio=jnp.asarray(0.0),
+        strengths=STRENGTHS,
+        moduli=(jnp.asarray(210e9), jnp.asarray(81e9)),
+        reinforced=jnp.array([0.07, 3e-3]),
     )
     thick = replace(
         COLUMN,
@@ -214,6 +226,9 @@ def _of_layout_6():
         "mechanism stress": quadratic,
         "quartic": quartic,
         "segment": _beam(segment),
+        "reinforced": tj.Quadratic(
+            np.diag([2.0, 3e5, 400.0]), flexure=True, stress_model=reinforced
+        ),
         "stop": Stop("-y", gap=0.1, stiffness=1e6, smoothing=1e-6),
         "corner": CornerContact((0.1, 0.2), edge, stiffness=1e6, smoothing=1e-6),
     }

@@ -275,14 +275,75 @@ def test_leaves_and_surrogates_have_the_stiffness_of_the_beam():
         (tj.flexures.linear_leaf(STEEL, **sizes), beam, bent, 4e-3),
         (necked, notch, None, 1e-6),
     ):
-        hinge = tj.Hinge("hinge", "wall", "block", energy, at=(0.0, 0.0, 0.0))
-        bodies = [tj.Body("wall"), tj.Body("block")]
-        mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
-        found = tj.out_of_plane(mechanism, pose if solution else None)
+        found = of_hinge(energy, pose if solution else None)
         exact = stiffness(expected, solution)
         scale = np.sqrt(np.outer(np.diagonal(exact), np.diagonal(exact)))
-        error = (np.asarray(found.stiffness_at("block")) - exact) / scale
+        error = (found - exact) / scale
         assert np.max(np.abs(error)) < tolerance
+
+
+REINFORCED: dict[str, Any] = {
+    "length": 40e-3,
+    "thickness": 0.3e-3,
+    "reinforced_length": 28e-3,
+    "reinforced_thickness": 2e-3,
+}
+
+
+def of_hinge(energy, about=None, **settings):
+    """Stiffness of a hinge between a wall and a block."""
+    hinge = tj.Hinge("hinge", "wall", "block", energy, at=(0.0, 0.0, 0.0))
+    bodies = [tj.Body("wall"), tj.Body("block")]
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    model = tj.out_of_plane(mechanism, about, **settings)
+    return np.asarray(model.stiffness_at("block"))
+
+
+def test_twist_of_a_leaf_with_a_thick_middle():
+    """Hyperbolic functions in each part; twist rate and bimoment do not jump."""
+    width = 10e-3
+    energy = tj.flexures.reinforced_leaf(STEEL, width=width, **REINFORCED)
+    thin, thick = 0.3e-3, 2e-3
+    torsion = [
+        STEEL.shear_modulus * float(torsion_constant(jnp.array(t), jnp.array(width)))
+        for t in (thin, thick)
+    ]
+    restraint = [STEEL.modulus * (t * width) ** 3 / 144 for t in (thin, thick)]
+    outer, inner = (np.sqrt(a / b) for a, b in zip(torsion, restraint, strict=True))
+    length, half = 6e-3, 14e-3
+    sinh, cosh = np.sinh(outer * length), np.cosh(outer * length)
+    # Twist rate by a torque of one: 1/torsion - cosh / torsion + a sinh, and
+    # 1/torsion + b cosh
+    matrix = [
+        [sinh, -np.cosh(inner * half)],
+        [restraint[0] * outer * cosh, restraint[1] * inner * np.sinh(inner * half)],
+    ]
+    known = [
+        1 / torsion[1] - (1 - cosh) / torsion[0],
+        restraint[0] * outer * sinh / torsion[0],
+    ]
+    a, b = np.linalg.solve(matrix, known)
+    twist = length / torsion[0] - sinh / outer / torsion[0] + a * (cosh - 1) / outer
+    twist += half / torsion[1] + b * np.sinh(inner * half) / inner
+    free = 2 * (length / torsion[0] + half / torsion[1])
+    np.testing.assert_allclose(of_hinge(energy)[1, 1], 1 / (2 * twist), rtol=1e-9)
+    found = of_hinge(energy, warping=False)[1, 1]
+    np.testing.assert_allclose(found, 1 / free, rtol=1e-9)
+
+
+def test_a_thick_middle_by_its_energy_and_its_profile():
+    """A transition of a thousandth of the length is nearly a jump."""
+    energy = tj.flexures.reinforced_leaf(STEEL, width=10e-3, **REINFORCED)
+    profile = tj.flexures.reinforced_leaf_profile(transition=4e-5, **REINFORCED)
+    beam = tj.flexures.Beam(
+        STEEL, length=40e-3, thickness=profile, width=10e-3, steps=512
+    )
+    bent = tj.flexures.beam_under_load(beam, [0.01, 0.0, 0.5])
+    pose = np.stack([np.zeros(3), bent.pose])
+    for about, solution in ((None, None), (pose, bent)):
+        found, exact = of_hinge(energy, about), stiffness(beam, solution)
+        scale = np.sqrt(np.outer(np.diagonal(exact), np.diagonal(exact)))
+        assert np.max(np.abs(found - exact) / scale) < 1e-3
 
 
 def test_stiffness_that_is_not_known_is_asked_for():

@@ -21,13 +21,17 @@ _ODD_SUM = 1.004523762795139616
 
 
 class Sections(NamedTuple):
-    """Cross-sections of a deformed flexure at the `nodes` along its axis."""
+    """Cross-sections of a deformed flexure, which consists of parts in series.
+
+    They are at the `nodes` along the axis of each part.
+    """
 
     # Poses of the cross-sections in a frame, by which the stiffness is described; rad, m,
     # m
-    poses: Float[Array, "nodes 3"]
-    thickness: Float[Array, "*nodes"]  # In-plane; one number if it is uniform; m
-    length: Scalar  # Along the axis; m
+    poses: Float[Array, "parts nodes 3"]
+    # In-plane, changes smoothly along a part; one number if it is uniform; m
+    thickness: Float[Array, " parts *nodes"]
+    length: Float[Array, " parts"]  # Along the axis; m
     width: Scalar  # Out of the plane; m
     modulus: Scalar  # Pa
     shear_modulus: Scalar  # Pa
@@ -62,6 +66,18 @@ def _polynomials(degree: int) -> Float[np.ndarray, "nodes polynomials"]:
     return legendre.legvander(nodes(), degree)
 
 
+class _Compliance(NamedTuple):
+    """Displacements of an end by forces on it and by the twist rates of both ends.
+
+    The displacements are `by_forces @ forces + by_twist_rates @ twist_rates`, and the
+    bimoments are `restraint @ twist_rates - by_twist_rates.T @ forces`.
+    """
+
+    by_forces: Float[Array, "3 3"]
+    by_twist_rates: Float[Array, "3 ends"]
+    restraint: Float[Array, "ends ends"]
+
+
 def out_of_plane_stiffness(
     sections: Sections, warping: bool
 ) -> Float[Array, "displacements displacements"]:
@@ -76,7 +92,50 @@ def out_of_plane_stiffness(
     Source:
         See `flexures.out_of_plane_stiffness`.
     """
-    poses, thickness, length, width, modulus, shear_modulus, continues = sections
+    continues = sections.continues
+    along = jax.vmap(partial(_compliance, sections, warping))
+    found = _in_series(along(sections.poses, sections.thickness, sections.length))
+    stiffness = jnp.linalg.inv(found.by_forces)
+    if continues is None:
+        return stiffness
+    by_twist_rates = found.by_twist_rates * continues[None]
+    coupling = -stiffness @ by_twist_rates
+    restraint = found.restraint * continues[:, None] * continues[None]
+    restraint = restraint - by_twist_rates.T @ coupling
+    return jnp.block([[stiffness, coupling], [coupling.T, restraint]])
+
+
+def _in_series(parts: _Compliance) -> _Compliance:
+    """Join parts with the same twist rate where they meet; no bimoment acts there."""
+    count = len(parts.by_forces)
+    if count == 1:
+        return jax.tree.map(lambda values: values[0], parts)
+    by_twist_rates = jnp.zeros((3, count + 1))
+    restraint = jnp.zeros((count + 1, count + 1))
+    for k in range(count):
+        ends = slice(k, k + 2)
+        by_twist_rates = by_twist_rates.at[:, ends].add(parts.by_twist_rates[k])
+        restraint = restraint.at[ends, ends].add(parts.restraint[k])
+    joints, ends = slice(1, -1), np.array([0, count])
+    couplings = jnp.concatenate([by_twist_rates, -restraint[ends]])[:, joints]
+    eliminated = couplings @ jnp.linalg.solve(restraint[joints, joints], couplings.T)
+    return _Compliance(
+        jnp.sum(parts.by_forces, axis=0) + eliminated[:3, :3],
+        by_twist_rates[:, ends] + eliminated[:3, 3:],
+        restraint[ends][:, ends] - eliminated[3:, 3:],
+    )
+
+
+def _compliance(
+    sections: Sections,
+    warping: bool,
+    poses: Float[Array, "nodes 3"],
+    thickness: Float[Array, "*nodes"],
+    length: Scalar,
+) -> _Compliance:
+    """Integrate the compliance along a part."""
+    width, modulus = sections.width, sections.modulus
+    shear_modulus = sections.shear_modulus
     weights = length / 2 * _quadrature()[1]
     angle, x, y = poses.T
     cos, sin = jnp.cos(angle), jnp.sin(angle)
@@ -93,8 +152,7 @@ def out_of_plane_stiffness(
     if not warping:
         by_torsion = weights / (shear_modulus * torsion)
         compliance = compliance + torque.T @ (by_torsion[:, None] * torque)
-        stiffness = jnp.linalg.inv(compliance)
-        return stiffness if continues is None else jnp.pad(stiffness, (0, 2))
+        return _Compliance(compliance, jnp.zeros((3, 2)), jnp.eye(2))
     # The twist rate minimizes the potential energy.
     values, slopes = _twist_rates()
     twisting = length / 2 * shear_modulus * torsion
@@ -105,22 +163,17 @@ def out_of_plane_stiffness(
     else:
         matrix = twisting * (values @ _weighted(values).T)
         matrix = matrix + restraint * (slopes @ _weighted(slopes).T)
-    work = values @ (weights[:, None] * torque)
+    work = jnp.matmul(values, weights[:, None] * torque)
     at_ends, inside = slice(2), slice(2, None)
     lower = jnp.linalg.cholesky(matrix[inside, inside])
     right = jnp.concatenate([work, matrix[:, at_ends]], axis=1)[inside]
     solved = jax.scipy.linalg.solve_triangular(lower, right, lower=True)
     strains, imposed = solved[:, :3], solved[:, 3:]
-    stiffness = jnp.linalg.inv(compliance + strains.T @ strains)
-    if continues is None:
-        return stiffness
-    # Displacements by the twist rates at the ends, and bimoments for them
-    moved = (work[at_ends].T - strains.T @ imposed) * continues[None]
-    bimoments = matrix[at_ends, at_ends] - imposed.T @ imposed
-    bimoments = bimoments * continues[:, None] * continues[None]
-    coupling = -stiffness @ moved
-    bimoments = bimoments - moved.T @ coupling
-    return jnp.block([[stiffness, coupling], [coupling.T, bimoments]])
+    return _Compliance(
+        compliance + strains.T @ strains,
+        work[at_ends].T - strains.T @ imposed,
+        jnp.subtract(matrix[at_ends, at_ends], imposed.T @ imposed),
+    )
 
 
 def torsion_constant(
@@ -178,27 +231,38 @@ def seen_from(
     return jax.vmap(partial(se2.compose, se2.inverse(frame)))(poses)
 
 
-def bent_sections(
-    displacement: Displacement, length: Scalar, curvature: Float[Array, " nodes"]
-) -> Float[Array, "nodes 3"]:
-    """Integrate a curvature from the first end of a flexure, which is fixed to frame a.
+def first_end(displacement: Displacement, length: Scalar) -> Pose:
+    """Compute the pose of the first end of a flexure, which is fixed to frame a.
 
-    The poses are in the mid-frame; rad, m, m.
+    The pose is in the mid-frame; rad, m, m.
+    """
+    x = -length / 2 * displacement.sigma - displacement.x1
+    y = length / 2 * displacement.xi - displacement.x2
+    return jnp.stack([-displacement.angle / 2, x, y])
+
+
+def bent_sections(
+    start: Pose, length: Scalar, curvature: Float[Array, " nodes"]
+) -> Float[Array, "nodes+1 3"]:
+    """Integrate a curvature along a part of a flexure, from the pose of its start.
+
+    The poses are those of the cross-sections at the nodes and at the end; rad, m, m.
     """
     # The same matrix for a whole batch: `benchmarks.sweeps`
     integrals, arm = jnp.asarray(_integrals_along()), length / 2
-    angles = arm * (integrals @ curvature) - displacement.angle / 2
-    x = arm * (integrals @ jnp.cos(angles) - displacement.sigma) - displacement.x1
-    y = arm * (integrals @ jnp.sin(angles) + displacement.xi) - displacement.x2
+    angles = arm * (integrals @ curvature) + start[0]
+    x = arm * (integrals @ jnp.cos(angles[:-1])) + start[1]
+    y = arm * (integrals @ jnp.sin(angles[:-1])) + start[2]
     return jnp.stack([angles, x, y], axis=1)
 
 
 @cache
-def _integrals_along() -> Float[np.ndarray, "nodes nodes"]:
-    """Return the matrix that integrates values at the nodes from -1 to each node."""
+def _integrals_along() -> Float[np.ndarray, "rows nodes"]:
+    """Return the matrix that integrates values at the nodes from -1 to each and to 1."""
     at, weights = _quadrature()
     polynomials, degrees = _polynomials(_NODES), np.arange(_NODES)
     # The integral of P_n is (P_(n+1) - P_(n-1)) / (2 n + 1), and that of P_0 is x + 1.
     integrals = (polynomials[:, 2:] - polynomials[:, :-2]) / (2 * degrees[1:] + 1)
     integrals = np.concatenate([at[:, None] + 1, integrals], axis=1)
-    return integrals @ (polynomials[:, :-1].T * weights * (degrees + 0.5)[:, None])
+    along = integrals @ (polynomials[:, :-1].T * weights * (degrees + 0.5)[:, None])
+    return np.concatenate([along, weights[None]])

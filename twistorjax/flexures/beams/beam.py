@@ -169,6 +169,11 @@ class AbstractProfile(eqx.Module):
         xp, (profile, at) = tree_on_host((self, position))
         return as_float(profile.values(xp, at))
 
+    @property
+    def breaks(self) -> Float[Array, "4"] | None:
+        """Positions along the axis between which the value is smooth; m."""
+        return None
+
 
 class Uniform(AbstractProfile):
     """A value that is the same at any position."""
@@ -177,6 +182,11 @@ class Uniform(AbstractProfile):
 
     def values(self, xp: Any, position: Any) -> Any:
         return xp.broadcast_to(self.value, xp.shape(position))
+
+
+def breaks_of(function: Callable[[Scalar], Scalar]) -> Float[Array, "4"] | None:
+    """Return the positions between which a function is smooth, if they are known; m."""
+    return getattr(function, "breaks", None)
 
 
 def values_along(

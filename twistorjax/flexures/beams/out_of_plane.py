@@ -1,18 +1,21 @@
 """Stiffness of a beam out of its plane, about its deformed planar state."""
 
-from jaxtyping import Array, Float
+from functools import partial
+
+import jax
+import jax.numpy as jnp
 
 from ..._compile.compilation import fast_compile
 from ..._utils.types import Matrix
 from ..._utils.validation import require_float64
 from ...energies.sections import (
-    at_nodes,
-    nodes,
     out_of_plane_stiffness as stiffness_of_sections,
-    Sections,
     seen_from,
 )
-from .beam import Beam, values_along
+from ...geometry import se2
+from ...geometry.twistors import Displacement
+from .beam import Beam
+from .stress_models import BeamStress
 from .under_load import beam_under_load, BeamSolution
 
 
@@ -37,7 +40,8 @@ def out_of_plane_stiffness(
     makes it stiffer by about `0.43 (s / L)^2`.
 
     Args:
-        beam: The beam.
+        beam: The beam. If its thickness is a function, it should be smooth. The profile
+            of a leaf with a reinforced middle is integrated part by part.
         solution: Its deformed state, from `beam_under_load` or `beam_at_pose`; by default
             the undeformed one.
         warping: Whether the ends cannot warp. The restraint is the bending of the fibers
@@ -68,22 +72,17 @@ def out_of_plane_stiffness(
     require_float64(beam.length)
     if solution is None:
         solution = beam_under_load(beam, [0.0, 0.0, 0.0])
-    thickness = values_along(beam.profile, beam.length / 2 * nodes())
-    return _stiffness(beam, solution, thickness, warping)
+    return _stiffness(BeamStress.of(beam), solution, warping)
 
 
 @fast_compile
-def _stiffness(
-    beam: Beam, solution: BeamSolution, thickness: Float[Array, " nodes"], warping: bool
-) -> Matrix:
-    """Compute the stiffness for the thickness at the `nodes` (m)."""
-    material = beam.material
-    sections = Sections(
-        at_nodes(seen_from(solution.pose, solution.centerline)),
-        thickness,
-        beam.length,
-        beam.width,
-        material.modulus,
-        material.shear_modulus,
-    )
-    return stiffness_of_sections(sections, warping)
+def _stiffness(model: BeamStress, solution: BeamSolution, warping: bool) -> Matrix:
+    """Compute the stiffness in frame b of the cross-sections of a stress model."""
+    angle, x, y = solution.pose
+    displacement = Displacement.from_pose(solution.pose)
+    middle = jnp.stack([angle / 2, x / 2, y / 2])
+    to_second = se2.between(middle, solution.pose)
+    wrench = se2.transform_wrench(to_second, solution.wrench)
+    sections = model.sections(displacement, (wrench[0], wrench[1], wrench[2]))
+    poses = jax.vmap(partial(seen_from, to_second))(sections.poses)
+    return stiffness_of_sections(sections._replace(poses=poses), warping)

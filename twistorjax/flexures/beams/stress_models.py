@@ -19,6 +19,7 @@ from ...energies.polynomial import require_powers
 from ...energies.sections import (
     at_nodes,
     bent_sections,
+    first_end,
     nodes,
     Sections,
     seen_from,
@@ -27,15 +28,11 @@ from ...energies.strains import strain
 from ...energies.stress_model import AbstractStressModel, MidWrench, Strengths
 from ...geometry import se2
 from ...geometry.twistors import Displacement
-from .beam import Beam, Law, values_along
+from .beam import Beam, breaks_of, Law, values_along
 from .cross_section import CrossSection, fiber_strains, section_rates, shear_ratio
 
 
-# Positions along the axis over the length, at equal steps of a parameter. They are denser
-# at the ends, where the outline of a notch is steep.
-_PARAMETERS = np.linspace(-np.pi / 2, np.pi / 2, 201)
-_POSITIONS = np.sin(_PARAMETERS) / 2
-_RATES = np.cos(_PARAMETERS) / 2
+_INTERVALS = 200  # Between cross-sections along a beam
 # Axes of the fields of cross-sections that differ in height and curvature only
 _ALONG = CrossSection._make((0, None, None, None, 0))
 
@@ -56,9 +53,10 @@ class SectionStress(AbstractStressModel):
     width: Scalar  # Out-of-plane; m
     ratio: Scalar  # Half the thickness over the radius of the surface; zero for a leaf
     strengths: Strengths
-    # Young's modulus and shear modulus (Pa), if the thickness changes only by a circular
-    # surface along the notch, or not along the leaf
+    # Young's modulus and shear modulus (Pa), if a notch is circular
     moduli: tuple[Scalar, Scalar] | None = None
+    # Length and in-plane thickness of the thick middle of a leaf; m
+    reinforced: Float[Array, "2"] | None = None
 
     def __check_init__(self) -> None:
         require_positive_fields(self, "thickness", "width", or_zero=("arm", "ratio"))
@@ -71,6 +69,7 @@ class SectionStress(AbstractStressModel):
         thickness: NumberLike,
         width: NumberLike,
         moduli: tuple[Scalar, Scalar] | None = None,
+        reinforced: Float[Array, "2"] | None = None,
     ) -> "SectionStress":
         """Create the model of a leaf; m."""
         _, (length, thickness, width) = on_host(length, thickness, width)
@@ -81,6 +80,7 @@ class SectionStress(AbstractStressModel):
             ratio=as_float(np.zeros(np.shape(length))),
             strengths=strengths,
             moduli=moduli,
+            reinforced=reinforced,
         )
 
     @classmethod
@@ -130,14 +130,27 @@ class SectionStress(AbstractStressModel):
         radius = self.thickness / jnp.where(is_leaf, 1.0, 2 * self.ratio)
         half = jnp.where(is_leaf, self.arm, radius)
         surface = jnp.where(is_leaf, 0.0, 2 * radius * (1 - np.sqrt(1 - nodes() ** 2)))
-        thickness = self.thickness + surface
-        moments = wrench[0] - half * nodes() * wrench[2]
-        curvature = 12 * moments / (self.moduli[0] * self.width * thickness**3)
-        poses = bent_sections(displacement, 2 * half, curvature)
-        return Sections(poses, thickness, 2 * half, self.width, *self.moduli)
+        # Middle, length, and thickness of each part
+        contour = [(0.0, 2 * half, self.thickness + surface)]
+        if self.reinforced is not None:
+            inner, thick = self.reinforced
+            outer, arm = half - inner / 2, (half + inner / 2) / 2
+            thin = self.thickness
+            contour = [(-arm, outer, thin), (0.0, inner, thick), (arm, outer, thin)]
+        start, parts = first_end(displacement, 2 * half), []
+        for middle, length, thickness in contour:
+            moments = wrench[0] - (middle + length / 2 * nodes()) * wrench[2]
+            curvature = 12 * moments / (self.moduli[0] * self.width * thickness**3)
+            poses = bent_sections(start, length, curvature)
+            parts.append((poses[:-1], thickness, length))
+            start = poses[-1]
+        all_poses, thicknesses, lengths = map(jnp.stack, zip(*parts, strict=True))
+        return Sections(all_poses, thicknesses, lengths, self.width, *self.moduli)
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "SectionStress":
-        return multiply_fields(self, scale, arm=1, thickness=1, width=1)
+        return multiply_fields(
+            self, scale, arm=1, thickness=1, width=1, reinforced=[1, 1]
+        )
 
 
 def _concentration_factors(ratio: Scalar) -> tuple[Scalar, Scalar]:
@@ -206,10 +219,12 @@ class BeamColumnStress(AbstractStressModel):
         assert self.shear_modulus is not None
         moments = self._moments(displacement, wrench, jnp.asarray(nodes() / 2))
         stiffness = self.modulus * self.width * self.thickness**3 / 12
+        start = first_end(displacement, self.length)
+        poses = bent_sections(start, self.length, moments / stiffness)[:-1]
         return Sections(
-            bent_sections(displacement, self.length, moments / stiffness),
-            self.thickness,
-            self.length,
+            poses[None],
+            self.thickness[None],
+            self.length[None],
             self.width,
             self.modulus,
             self.shear_modulus,
@@ -259,7 +274,8 @@ class BeamStress(AbstractStressModel):
         23, 1972.
     """
 
-    thickness: Float[Array, "201"]  # At positions that are denser at the ends; m
+    # At positions that are denser at the ends, and at both sides of the `breaks`; m
+    thickness: Float[Array, "201"]
     # Of the undeformed beam at these positions; 1/m
     curvature: Float[Array, "201"] | None
     length: Scalar  # m
@@ -274,6 +290,8 @@ class BeamStress(AbstractStressModel):
     shear_modulus: Scalar | None = None  # Pa
     # Whether other segments of the same flexure continue each end; see `Sections`
     continues: Float[Array, "2"] | None = None
+    # Positions along the axis between which the thickness is smooth; m
+    breaks: Float[Array, "4"] | None = None
 
     def __check_init__(self) -> None:
         require_positive_fields(
@@ -289,8 +307,9 @@ class BeamStress(AbstractStressModel):
 
     @classmethod
     def of(cls, beam: Beam) -> "BeamStress":
+        breaks, curvature = breaks_of(beam.profile), None
         _, (length,) = on_host(beam.length)
-        positions, curvature = length * _POSITIONS, None
+        positions = length * _along(_ends(length, breaks))[0]
         if beam.curvature is not None:
             curvature = values_along(beam.curvature, positions)
         material = beam.material
@@ -305,6 +324,7 @@ class BeamStress(AbstractStressModel):
             strengths=material.strengths,
             law=beam.law,
             shear_modulus=material.shear_modulus,
+            breaks=breaks,
         )
 
     def surface_stresses(
@@ -328,14 +348,18 @@ class BeamStress(AbstractStressModel):
         """Return the cross-sections under the wrench."""
         assert self.shear_modulus is not None
         _, _, poses = self._deformed(displacement, wrench)
-        # Poses of the other sections are means, which are less accurate.
-        poses = poses[::2] * jnp.stack([jnp.ones(()), self.length, self.length])[None]
+        poses = poses * jnp.stack([jnp.ones(()), self.length, self.length])[None]
         angle, x, y = displacement.pose()
-        middle = jnp.stack([angle / 2, x / 2, y / 2])
+        poses = seen_from(jnp.stack([angle / 2, x / 2, y / 2]), poses)
+        ends = _ends(self.length, self.breaks)
+        count = len(ends) - 1
+        of_parts = _INTERVALS // count * np.arange(count)[:, None]
+        index = of_parts + np.arange(_INTERVALS // count + 1)
         return Sections(
-            at_nodes(seen_from(middle, poses)),
-            at_nodes(self.thickness),
-            self.length,
+            # Poses of the other sections are means, which are less accurate.
+            jax.vmap(at_nodes)(poses[index[:, ::2]]),
+            jax.vmap(at_nodes)(self.thickness[index]),
+            self.length * (ends[1:] - ends[:-1]),
             self.width,
             self.modulus,
             self.shear_modulus,
@@ -373,7 +397,7 @@ class BeamStress(AbstractStressModel):
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamStress":
         return multiply_fields(
-            self, scale, thickness=[1], curvature=[-1], length=1, width=1
+            self, scale, thickness=[1], curvature=[-1], length=1, width=1, breaks=[1]
         )
 
     def _integrate(
@@ -384,8 +408,9 @@ class BeamStress(AbstractStressModel):
         A step of the method of Runge and Kutta goes from one section to the next but one.
         The pose of the section between them is the mean of both.
         """
-        step = 2 * (_PARAMETERS[1] - _PARAMETERS[0])
-        values = sections.height, sections.curvature, jnp.asarray(_RATES)
+        step = 2.0
+        _, rates = _along(_ends(self.length, self.breaks))
+        values = sections.height, sections.curvature, jnp.asarray(rates)
 
         def derivative(pose: Pose, at: tuple[Scalar, Scalar, Scalar]) -> Pose:
             height, curvature, rate = at
@@ -407,7 +432,7 @@ class BeamStress(AbstractStressModel):
         )
         _, even = jax.lax.scan(advance, start, (first, middle, last))
         even = jnp.concatenate([start[None], even])
-        poses = jnp.zeros((len(_PARAMETERS), 3)).at[::2].set(even)
+        poses = jnp.zeros((len(sections.height), 3)).at[::2].set(even)
         return poses.at[1::2].set((even[:-1] + even[1:]) / 2)
 
     def _first_end(self, sections: CrossSection) -> Pose:
@@ -416,6 +441,32 @@ class BeamStress(AbstractStressModel):
             return jnp.array([0.0, -0.5, 0.0])
         poses = self._integrate(sections, jnp.zeros(3), jnp.zeros(3))
         return se2.inverse(poses[len(poses) // 2])
+
+
+def _ends(length: Any, breaks: Any) -> Any:
+    """Return the ends of the parts between breaks, over the length of the beam."""
+    if breaks is None:
+        return np.array([-0.5, 0.5])
+    xp, (length, breaks) = on_host(length, breaks)
+    # Breaks may be outside of a segment of a beam.
+    margins = 1e-3 * np.arange(1, len(breaks) + 1)
+    inside = xp.clip(breaks / length, margins - 0.5, 0.5 - margins[::-1])
+    return xp.concatenate([np.array([-0.5]), inside, np.array([0.5])])
+
+
+def _along(ends: Any) -> tuple[Any, Any]:
+    """Return the positions of the cross-sections over the length of the beam.
+
+    The second array has their derivatives by the index of the section. They are denser at
+    the ends of each part, where the outline of a notch is steep.
+    """
+    xp, (ends,) = on_host(ends)
+    count = _INTERVALS // (len(ends) - 1)
+    angle = np.pi * (np.arange(1, count + 1) / count - 0.5)
+    middle, half = (ends[:-1] + ends[1:]) / 2, (ends[1:] - ends[:-1]) / 2
+    positions = xp.ravel(middle[:, None] + half[:, None] * np.sin(angle)[None])
+    rates = xp.ravel(half[:, None] * np.pi / count * np.cos(angle)[None])
+    return xp.concatenate([ends[:1], positions]), xp.concatenate([np.zeros(1), rates])
 
 
 class MechanismStress(AbstractStressModel):

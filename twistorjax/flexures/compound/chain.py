@@ -1,6 +1,7 @@
 """Flexures that are divided into segments, each with a surrogate of its own."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
@@ -37,7 +38,15 @@ from ...geometry import se2
 from ...mechanism.body import Body
 from ...mechanism.hinge import Hinge
 from ...mechanism.material import Expansion
-from ..beams.beam import arc_rotation, Beam, is_uniform, load_units, pose_units, Uniform
+from ..beams.beam import (
+    arc_rotation,
+    Beam,
+    breaks_of,
+    is_uniform,
+    load_units,
+    pose_units,
+    Uniform,
+)
 from ..beams.stress_models import BeamStress
 from ..beams.under_load import (
     beam_under_load,
@@ -295,9 +304,7 @@ def _segment(beam: Beam, shares: np.ndarray, k: int) -> Beam:
     middle = beam.length * float(np.sum(shares[:k]) + shares[k] / 2 - 0.5)
 
     def shifted(function):
-        if isinstance(function, Uniform):
-            return function
-        return jax.tree_util.Partial(_shifted, function, middle)
+        return function if isinstance(function, Uniform) else _Shifted(function, middle)
 
     return eqx.tree_at(
         lambda beam: (beam.length, beam.profile, beam.curvature),
@@ -311,9 +318,19 @@ def _segment(beam: Beam, shares: np.ndarray, k: int) -> Beam:
     )
 
 
-def _shifted(function, shift: Scalar, position: Scalar) -> Scalar:
-    """Evaluate a function of the position (m) at a shifted position."""
-    return function(position + shift)
+class _Shifted(eqx.Module):
+    """A function of the position (m), with another origin of the position."""
+
+    function: Callable[[Scalar], Scalar]
+    shift: Scalar
+
+    def __call__(self, position: Scalar) -> Scalar:
+        return self.function(position + self.shift)
+
+    @property
+    def breaks(self) -> Float[Array, "4"] | None:
+        breaks = breaks_of(self.function)
+        return None if breaks is None else breaks - self.shift
 
 
 def _segment_rotation(

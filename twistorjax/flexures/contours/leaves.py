@@ -3,8 +3,9 @@
 from typing import Any
 
 import numpy as np
+from jaxtyping import Array, Float
 
-from ..._utils.host import on_host
+from ..._utils.host import as_float, on_host
 from ..._utils.types import NumberLike, Scalar
 from ..._utils.validation import require_interval, require_length, require_positive
 from ...energies.quadratic import Quadratic
@@ -173,8 +174,15 @@ class ReinforcedLeaf(Contour):
 
     def stress_model(self, material: Material, width: Scalar) -> SectionStress:
         # The stress is largest at the ends of the thin sections.
-        strengths = material.strengths
-        return SectionStress.of_leaf(strengths, self.length, self.thickness, width)
+        xp, middle = on_host(self.reinforced_length, self.reinforced_thickness)
+        return SectionStress.of_leaf(
+            material.strengths,
+            self.length,
+            self.thickness,
+            width,
+            (material.modulus, material.shear_modulus),
+            as_float(xp.stack(middle)),
+        )
 
 
 class SmoothReinforcedLeaf(ReinforcedLeaf):
@@ -186,6 +194,12 @@ class SmoothReinforcedLeaf(ReinforcedLeaf):
     """
 
     transition: Scalar
+
+    @property
+    def breaks(self) -> Float[Array, "4"]:
+        xp, (length, transition) = on_host(self.reinforced_length, self.transition)
+        inner, outer = (length - transition) / 2, (length + transition) / 2
+        return as_float(xp.stack([-outer, -inner, inner, outer]))
 
     def values(self, xp: Any, position: Any) -> Any:
         inner = self.reinforced_length - self.transition

@@ -1,0 +1,87 @@
+"""Hook of mkdocs: the code of a page draws its figures.
+
+A page refers to a figure that its own code saves: `![A guide](guide.svg)`. No
+such file is kept; the code of the page runs while the manual is built. Figures
+of the same code and the same version of the library are drawn once.
+"""
+
+import hashlib
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+
+FOLDER = Path(__file__).parent
+CACHE = FOLDER.parent / ".cache" / "figures"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the figures that pages refer to and that are not files."""
+    wanted = [
+        (page, names)
+        for page in files.documentation_pages()
+        if (names := figures_of(page))
+    ]
+    with ThreadPoolExecutor(2) as pool:
+        drawn = pool.map(lambda page: draw(page[0].content_string), wanted)
+        for (page, names), folder in zip(wanted, drawn, strict=True):
+            for name in names:
+                if not (folder / name).exists():
+                    raise FileNotFoundError(
+                        f"{page.src_uri} shows {name}, but its code does not "
+                        "save this figure."
+                    )
+                path = Path(page.src_uri).with_name(name).as_posix()
+                figure = File.generated(
+                    config, path, content=(folder / name).read_bytes()
+                )
+                files.append(figure)
+    return files
+
+
+def figures_of(page: File) -> list[str]:
+    """Return the names of the figures that the code of a page draws."""
+    if not page.src_uri.endswith(".md"):
+        return []
+    names = re.findall(r"!\[[^]]*\]\(([\w-]+\.svg)\)", page.content_string)
+    folder = (FOLDER / page.src_uri).parent
+    return [name for name in names if not (folder / name).exists()]
+
+
+def draw(text: str) -> Path:
+    """Run the code of a page, unless it was run before.
+
+    Returns the folder with its figures.
+    """
+    code = "\n".join(code_of(text))
+    sources = sorted((FOLDER.parent / "twistorjax").rglob("*.py"))
+    digest = hashlib.sha256(code.encode())
+    for source in sources:
+        digest.update(source.read_bytes())
+    folder = CACHE / digest.hexdigest()[:16]
+    if folder.exists():
+        return folder
+    guide = code_of((FOLDER / "manual" / "start.md").read_text())[0]
+    with tempfile.TemporaryDirectory() as work:
+        (Path(work) / "guide.py").write_text(guide)
+        settings = "import matplotlib\nmatplotlib.use('svg')\n"
+        subprocess.run(
+            [sys.executable, "-c", settings + code],
+            cwd=work,
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
+        shutil.copytree(work, folder, dirs_exist_ok=True)
+    return folder
+
+
+def code_of(text: str) -> list[str]:
+    """Return the Python code blocks of a page."""
+    return re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)

@@ -1,8 +1,8 @@
 """Hook of mkdocs: the code of a page draws its figures.
 
-A page refers to a figure that its own code saves: `![A guide](guide.svg)`. No
-such file is kept; the code of the page runs while the manual is built. Figures
-of the same code and the same version of the library are drawn once.
+A page refers to a figure that its own code saves: `![A guide](guide.svg)`.
+No such file is kept; the code of the page runs while the manual is built.
+Figures of the same code and the same sources of the library are drawn once.
 """
 
 import hashlib
@@ -84,4 +84,6 @@ def draw(text: str) -> Path:
 
 def code_of(text: str) -> list[str]:
     """Return the Python code blocks of a page."""
-    return re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    return re.findall(
+        r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE
+    )

@@ -91,6 +91,44 @@ def test_bodies_and_hinges_without_outlines_are_drawn_as_arms_and_springs():
     assert {text.get_text() for text in axes.texts} == {"a", "b", "h"}
 
 
+def _area(corners):
+    x, y = corners.T
+    return abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2
+
+
+def test_flexures_without_outlines_are_drawn_by_their_contours():
+    """Areas and lengths between the bodies follow from the dimensions (mm)."""
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    sizes = {"length": 40e-3, "thickness": 1e-3, "width": 10e-3}
+    reinforced = {"reinforced_length": 28e-3, "reinforced_thickness": 4e-3}
+    arc = tj.flexures.Beam(steel, curvature=20.0, **sizes)
+    half_chord = np.sin(0.4) / 20e-3
+    sagitta = (1 - np.cos(0.4)) / 20e-3
+    edge = 0.5 * np.sin(0.4)
+    for energy, area, length, height in (
+        (tj.flexures.leaf(steel, **sizes), 40.0, 40.0, 1.0),
+        (2 * tj.flexures.linear_leaf(steel, **sizes), 40.0, 40.0, 1.0),
+        (tj.flexures.reinforced_leaf(steel, **sizes, **reinforced), 124.0, 40.0, 4.0),
+        (
+            tj.flexures.notch(steel, hole=10e-3, web=1e-3, width=10e-3),
+            10 * 11 - 25 * np.pi,
+            10.0,
+            11.0,
+        ),
+        (
+            tj.flexures.ExactBeam(arc),
+            40.0,
+            2 * (half_chord + edge),
+            sagitta + 0.5 * (1 + np.cos(0.4)),
+        ),
+    ):
+        hinge = tj.Hinge("h", "a", "b", energy, at=(0.0, 0.0, 0.0))
+        mechanism = tj.Mechanism([tj.Body("a"), tj.Body("b")], [hinge], fixed=["a"])
+        corners = polygons(tj.draw(mechanism, names=False))[-1][:-1]
+        np.testing.assert_allclose(_area(corners), area, rtol=2e-3)
+        np.testing.assert_allclose(np.ptp(corners, axis=0), [length, height], rtol=1e-4)
+
+
 def test_names_can_be_left_out():
     assert not tj.draw(stage.microstage(), names=False).texts
 
@@ -284,7 +322,7 @@ def test_an_animation_is_colored_by_stresses():
 
     def colors(frame):
         animation._func(frame)  # pyright: ignore[reportAttributeAccessIssue]
-        return axes.collections[3].get_edgecolor()
+        return axes.collections[-1].get_facecolor()
 
     (half, whole), (quarter, same) = colors(1), colors(0)
     assert_close(same, half)

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._utils.types import Scalar
+from .._utils.types import Corners, Scalar
 from .._utils.validation import require_positive_fields
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, AbstractWrapper
@@ -66,6 +66,13 @@ class AbstractStressModel(eqx.Module):
         The arguments are those of `surface_stresses`.
         """
         raise NotImplementedError
+
+    def outline(self) -> Corners | None:
+        """Return the corners of the undeformed flexure in its frame, for drawing; m.
+
+        It is None if there is more than one flexure.
+        """
+        return None
 
     @abstractmethod
     def dilated(self, scale: Float[Array, "*batch"]) -> "AbstractStressModel":

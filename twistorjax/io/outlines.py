@@ -15,7 +15,7 @@ from .._utils.validation import require_package, require_simple_polygon
 from ..mechanism.hinge import AbstractOutline
 from ..mechanism.mechanism import Mechanism
 from ..plotting.figure_style import FILLS, RED
-from ..plotting.shapes import Shape, shapes
+from ..plotting.shapes import Shape, shapes, with_flexure_outlines
 
 
 _MM = 1e3
@@ -76,6 +76,7 @@ def save_outline(
     suffix = path.suffix.lower()
     if suffix not in (".dxf", ".svg"):
         raise ValueError(f"`path` is {str(path)!r}, but must end with .dxf or .svg.")
+    mechanism = with_flexure_outlines(mechanism)
     current = np.asarray(mechanism.reference)
     if poses is not None:
         current = current + np.asarray(mechanism.displacements(poses))

@@ -27,7 +27,7 @@ from .drawing import (
 )
 from .figure_style import length_unit, new_axes
 from .oblique import FLAT, OBLIQUE_AXES, vibration_shapes
-from .shapes import mechanism_size, shapes
+from .shapes import mechanism_size, shapes, with_flexure_outlines
 
 
 if TYPE_CHECKING:
@@ -108,6 +108,7 @@ def animate(
     """
     from matplotlib.animation import FuncAnimation
 
+    mechanism = with_flexure_outlines(mechanism)
     unit, unit_name = length_unit(mechanism_size(mechanism))
     if isinstance(motion, OutOfPlaneVibrations):
         count = min(_FRAMES_PER_PERIOD, frames)

@@ -35,7 +35,14 @@ from .marks import (
     Wrenches,
     wrenches_of_loads,
 )
-from .shapes import hinge_frames, mechanism_size, Shape, shapes, to_world
+from .shapes import (
+    hinge_frames,
+    mechanism_size,
+    Shape,
+    shapes,
+    to_world,
+    with_flexure_outlines,
+)
 
 
 if TYPE_CHECKING:
@@ -74,10 +81,10 @@ def draw(
 ) -> "Axes":
     """Draw a mechanism in its reference configuration or a deformed one.
 
-    Bodies and hinges are drawn by their outlines; `leaf_outline` and `notch_outline` in
-    `twistorjax.flexures` compute outlines of hinges. A body without an outline is drawn
-    as lines from its origin to its hinges. A hinge without an outline is drawn as a
-    spiral spring, and an `AxialSpring` as a zigzag line between its ends.
+    Bodies and hinges are drawn by their outlines. A body without an outline is drawn as
+    lines from its origin to its hinges. A hinge without an outline is drawn by its
+    contour, if it is a flexure that was created from dimensions; otherwise as a spiral
+    spring, and an `AxialSpring` as a zigzag line between its ends.
 
     Args:
         mechanism: The mechanism.
@@ -116,6 +123,7 @@ def draw(
         >>> axes.get_xlabel()
         'x (mm)'
     """
+    mechanism = with_flexure_outlines(mechanism)
     undeformed = np.asarray(mechanism.reference)
     displacements = _displacements(mechanism, poses)
     drawn_poses = undeformed + magnify * displacements

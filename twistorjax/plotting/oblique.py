@@ -11,7 +11,14 @@ from ..solve.out_of_plane_model import OutOfPlaneResponse
 from ..solve.vibration_results import OutOfPlaneVibrations
 from .drawing import color_bar, draw_dotted, draw_shapes, figure_size, Part
 from .figure_style import length_unit, new_axes, prefixed_unit
-from .shapes import cubic, hinge_frames, mechanism_size, Shape, shapes
+from .shapes import (
+    cubic,
+    hinge_frames,
+    mechanism_size,
+    Shape,
+    shapes,
+    with_flexure_outlines,
+)
 
 
 if TYPE_CHECKING:
@@ -41,7 +48,7 @@ def draw_out_of_plane(
     """Draw displacements or a mode out of the plane in an oblique view, colored by z.
 
     The view is an oblique projection: x is to the right, y to the back, and z upwards.
-    Hinges need an outline to be drawn as flexures, as in `draw`.
+    Hinges are drawn as in `draw`.
 
     Args:
         mechanism: The mechanism.
@@ -156,7 +163,7 @@ def shapes_and_heights(
 
     The displacements of each body are z and the rotations about x and y; m, rad, rad.
     """
-    drawn, heights = shapes(mechanism, poses), []
+    drawn, heights = shapes(with_flexure_outlines(mechanism), poses), []
     for shape in drawn:
         kind, row = shape.part
         if kind == "body":

@@ -6,11 +6,14 @@ animation ten times slower.
 
 from typing import Literal, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from .._utils.stacking import PerPart
 from .._utils.types import Corners, Pose
 from ..energies.axial_spring import AxialSpring
+from ..energies.stress_model import stress_model
 from ..flexures.condensed import drawn_displacements
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.sub_mechanism import SubMechanism
@@ -55,13 +58,30 @@ def mechanism_size(mechanism: Mechanism) -> float:
         np.asarray(mechanism.at), mechanism.hinge_outlines.on_host(), strict=True
     ):
         if isinstance(outline, SubMechanism):
-            inner = shapes(outline.mechanism, np.asarray(outline.mechanism.reference))
+            part = with_flexure_outlines(outline.mechanism)
+            inner = shapes(part, np.asarray(part.reference))
             corners = np.concatenate([shape.corners for shape in inner])
             points.append(to_world(pose, corners))
     halves = _half_lengths(mechanism)
     for half, pose in zip(halves, np.asarray(mechanism.at), strict=True):
         points.append(to_world(pose, np.array([[-half, 0.0], [half, 0.0]])))
     return float(np.ptp(np.concatenate(points), axis=0).max()) or 1.0
+
+
+def with_flexure_outlines(mechanism: Mechanism) -> Mechanism:
+    """Give an outline to the hinges without one that were created from dimensions."""
+    outlines = list(mechanism.hinge_outlines.on_host())
+    for group in mechanism.hinge_assembly.groups:
+        if stress_model(group.energy) is None:
+            continue
+        for member, row in enumerate(group.members):
+            if outlines[row] is None:
+                model = stress_model(group.of_member(member)[0])
+                assert model is not None
+                outlines[row] = model.outline()
+    return eqx.tree_at(
+        lambda new: new.hinge_outlines, mechanism, PerPart.of_each(outlines)
+    )
 
 
 def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
@@ -125,7 +145,7 @@ def _parts(
     They have the row of the hinge. Bodies A and B are drawn with the mechanism; the ends
     of the leaves on each of them are returned as well, in the order of their angles.
     """
-    mechanism = part.mechanism
+    mechanism = with_flexure_outlines(part.mechanism)
     pose = np.array([frames[1][0] - frames[0][0], 0.0, 0.0])
     cos, sin = np.cos(frames[0][0]), np.sin(frames[0][0])
     pose[1:] = np.array([[cos, sin], [-sin, cos]]) @ (frames[1][1:] - frames[0][1:])

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from ..._utils.host import as_float, on_host
 from ..._utils.pytrees import group_by_structure
-from ..._utils.types import NumberLike, Pose, Scalar, Wrench
+from ..._utils.types import Corners, NumberLike, Pose, Scalar, Wrench
 from ..._utils.validation import require_positive_fields
 from ...energies.dilation import multiply_fields
 from ...energies.monomials import Powers
@@ -147,6 +147,22 @@ class SectionStress(AbstractStressModel):
         all_poses, thicknesses, lengths = map(jnp.stack, zip(*parts, strict=True))
         return Sections(all_poses, thicknesses, lengths, self.width, *self.moduli)
 
+    def outline(self) -> Corners:
+        arm, thickness, ratio = map(np.asarray, (self.arm, self.thickness, self.ratio))
+        if ratio > 0:
+            angle = np.linspace(-np.pi / 2, np.pi / 2, 61)
+            radius = thickness / (2 * ratio)
+            surface = 2 * radius * (1 - np.cos(angle))
+            return _outline(radius * np.sin(angle), thickness + surface)
+        position, heights = arm * np.linspace(-1.0, 1.0, 24), np.full(24, thickness)
+        if self.reinforced is not None:
+            length, thick = np.asarray(self.reinforced)
+            position = np.concatenate([np.linspace(-arm, -length / 2, 12)] * 2)
+            position[12:] *= -1
+            position = np.insert(np.sort(position), 12, np.array([-length, length]) / 2)
+            heights = np.insert(heights, 12, np.array([thick, thick]))
+        return _outline(position, heights)
+
     def dilated(self, scale: Float[Array, "*batch"]) -> "SectionStress":
         return multiply_fields(
             self, scale, arm=1, thickness=1, width=1, reinforced=[1, 1]
@@ -257,6 +273,10 @@ class BeamColumnStress(AbstractStressModel):
         sin = jnp.where(compressed, jnp.sin(position), jnp.sinh(position))
         bowing = bending / self.length * displacement.angle * root / 2
         return mean + (bowing * (cos - cos[-1]) + half * sin)[:-1] / sin[-1]
+
+    def outline(self) -> Corners:
+        position = np.asarray(self.length) * np.linspace(-0.5, 0.5, 24)
+        return _outline(position, np.full(24, self.thickness))
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamColumnStress":
         return multiply_fields(self, scale, length=1, thickness=1, width=1)
@@ -395,6 +415,11 @@ class BeamStress(AbstractStressModel):
         poses = self._integrate(sections, load, self._first_end(sections))
         return sections, load, poses
 
+    def outline(self) -> Corners:
+        length = np.asarray(self.length)
+        position = length * np.asarray(_along(_ends(self.length, self.breaks))[0])
+        return _outline(position, np.asarray(self.thickness), self.curvature)
+
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamStress":
         return multiply_fields(
             self, scale, thickness=[1], curvature=[-1], length=1, width=1, breaks=[1]
@@ -441,6 +466,26 @@ class BeamStress(AbstractStressModel):
             return jnp.array([0.0, -0.5, 0.0])
         poses = self._integrate(sections, jnp.zeros(3), jnp.zeros(3))
         return se2.inverse(poses[len(poses) // 2])
+
+
+def _outline(
+    position: np.ndarray, thickness: np.ndarray, curvature: Array | None = None
+) -> Corners:
+    """Return the corners of a flexure by values along its axis; m, m, 1/m."""
+    angle, axis = np.zeros_like(position), np.stack([position, 0 * position], axis=1)
+    if curvature is not None:
+        angle = _integrated(np.asarray(curvature), position)
+        directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        axis = _integrated(directions, position[:, None])
+    half = thickness[:, None] / 2 * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    return as_float(np.concatenate([axis + half, (axis - half)[::-1]]))
+
+
+def _integrated(values: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Integrate values at positions by trapezoids, from the middle one."""
+    steps = np.diff(position, axis=0) * (values[1:] + values[:-1]) / 2
+    integral = np.concatenate([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
+    return integral - integral[len(integral) // 2]
 
 
 def _ends(length: Any, breaks: Any) -> Any:

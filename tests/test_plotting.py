@@ -322,7 +322,7 @@ def test_an_animation_is_colored_by_stresses():
 
     def colors(frame):
         animation._func(frame)  # pyright: ignore[reportAttributeAccessIssue]
-        return axes.collections[-1].get_facecolor()
+        return axes.collections[2].get_facecolor()
 
     (half, whole), (quarter, same) = colors(1), colors(0)
     assert_close(same, half)

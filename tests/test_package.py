@@ -9,6 +9,8 @@ import subprocess
 import sys
 import tomllib
 
+import jax
+import jax.numpy as jnp
 import pytest
 
 import twistorjax as tj
@@ -109,3 +111,26 @@ def test_signatures_print_the_names_of_types():
     assert len(shown) > 300
     long = [name for name, text in shown.items() if re.search(LONG_NAMES, text)]
     assert not long
+
+
+def test_misspelled_names_are_corrected():
+    with pytest.raises(AttributeError, match="Did you mean 'equilibrium'"):
+        getattr(tj, "equilbrium")  # noqa: B009
+    with pytest.raises(AttributeError, match=r"'twistorjax.flexures' has no attr"):
+        getattr(tj.flexures, "zzz")  # noqa: B009
+    assert not hasattr(tj, "__wrapped__")
+
+
+def test_parts_of_a_mechanism_are_printed_with_their_numbers():
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    assert repr(steel) == "Material(modulus=2.1e+11, poisson=0.3)"
+    leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
+    hinge = tj.Hinge("left", "base", "table", leaf, at=(0.0, 0.1, 0.2))
+    assert "bending_stiffness=0.021875" in repr(hinge)
+    assert "at=[0, 0.1, 0.2]" in repr(hinge)
+    assert repr(tj.Body("base")) == "Body(name='base', pose=[0, 0, 0])"
+    many = jax.vmap(lambda pose: tj.Body("base", pose))(jnp.zeros((100, 3)))
+    assert "f64[100,3]" in repr(many)
+    sizes = []
+    jax.jit(lambda x: sizes.append(repr(tj.Body("base", x))))(jnp.zeros(3))
+    assert "pose=f64[3]" in sizes[0]

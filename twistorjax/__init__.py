@@ -11,12 +11,11 @@ for studies, `io` and `plotting` for files and figures, `geometry` for poses and
 and `examples` for the mechanisms of the dissertation on which the library is based.
 """
 
-import lazy_loader
+from ._utils.lazy_names import attach
 
 
 __version__ = "0.2.0"
 
 
-# The names are imported from their modules at their first use, because some of these
-# modules import packages that take long to load. `__init__.pyi` lists them.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+# The names are imported at their first use. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -65,6 +65,15 @@ def require_choice(name: str, value: Choice, choices: Sequence[str]) -> Choice:
     return value
 
 
+def require_names(argument: str, names: Any) -> None:
+    """Check that names are not one string, whose letters would be taken for names."""
+    if isinstance(names, str):
+        raise ValueError(
+            f"{argument} is the string {names!r}, but must be a list of names, such as "
+            f"[{names!r}]."
+        )
+
+
 def index_of(where: str, noun: str, name: str, names: Sequence[str]) -> int:
     """Return the index of a name in a list of names; `noun` is a key of `PLURAL`."""
     if name not in names:

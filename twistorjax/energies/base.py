@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from .._compile.compilation import fast_compile
 from .._utils.host import concrete
+from .._utils.printing import Printed
 from .._utils.types import (
     Flag,
     Matrix,
@@ -38,7 +39,7 @@ Rates = tuple[Scalar, Scalar, Scalar]  # rad/s, m/s, m/s
 Stress = tuple[Scalar, Scalar, Scalar]  # Moment, axial, and transverse force; N m, N, N
 
 
-class AbstractEnergy(eqx.Module):
+class AbstractEnergy(Printed):
     """Elastic energy of a hinge as a function of the displacement of b relative to a.
 
     A subclass implements one method, `stored_energy`. Wrench, stiffness, sums, and

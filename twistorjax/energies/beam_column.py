@@ -1,5 +1,6 @@
 """The energy of a straight leaf as a beam-column, in closed form."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -75,7 +76,7 @@ class BeamColumn(AbstractMixedEnergy):
     bending_stiffness: Scalar
     axial_stiffness: Scalar
     shear_stiffness: Scalar | None = None
-    stress_model: AbstractStressModel | None = None
+    stress_model: AbstractStressModel | None = eqx.field(default=None, repr=False)
 
     def __init__(
         self,

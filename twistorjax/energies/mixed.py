@@ -245,7 +245,7 @@ class MixedEnergy(AbstractPolynomialMixedEnergy):
     """
 
     flexure: bool = eqx.field(static=True, default=False)
-    stress_model: AbstractStressModel | None = None
+    stress_model: AbstractStressModel | None = eqx.field(default=None, repr=False)
 
     def __init__(
         self,

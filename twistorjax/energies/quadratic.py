@@ -83,7 +83,7 @@ class Quadratic(CoordinateEnergy):
     stiffness: Matrix
     coordinates: Coordinates = eqx.field(static=True)
     flexure: bool = eqx.field(static=True, default=False)
-    stress_model: AbstractStressModel | None = None
+    stress_model: AbstractStressModel | None = eqx.field(default=None, repr=False)
 
     def __init__(
         self,

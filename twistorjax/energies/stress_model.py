@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._utils.printing import Printed
 from .._utils.types import Corners, Scalar
 from .._utils.validation import require_positive_fields
 from ..geometry.twistors import Displacement
@@ -19,7 +20,7 @@ from .sections import out_of_plane_stiffness as stiffness_of_sections, Sections
 MidWrench = tuple[Scalar, Scalar, Scalar]
 
 
-class Strengths(eqx.Module):
+class Strengths(Printed):
     """Strengths of a material, which are positive; None if they are not given."""
 
     # Largest allowable stress under static loads: the yield strength, or the fracture

@@ -56,7 +56,7 @@ class WithValidityRange(AbstractWrapper):
     force: Scalar
     error: Float[Array, "3"]
     displacement: Scalar | None = None
-    stress_model: AbstractStressModel | None = None
+    stress_model: AbstractStressModel | None = eqx.field(default=None, repr=False)
 
     def __init__(
         self,

@@ -6,9 +6,8 @@ Start reading in `stage`, where `microstage` builds the micropositioning stage a
 problems, and `sweep_studies` holds the studies of the command `twistorjax sweep`.
 """
 
-import lazy_loader
+from .._utils.lazy_names import attach
 
 
-# The names are imported from their modules at their first use, because some of these
-# modules import packages that take long to load. `__init__.pyi` lists them.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+# The names are imported at their first use. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

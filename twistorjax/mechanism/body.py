@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete, on_host
+from .._utils.printing import Printed
 from .._utils.types import (
     Corners,
     CornersLike,
@@ -25,7 +26,7 @@ from .._utils.validation import (
 from .material import Material
 
 
-class Body(eqx.Module):
+class Body(Printed):
     """A rigid body with a name.
 
     Args:

@@ -25,6 +25,7 @@ from .._utils.validation import (
     index_of,
     quote,
     require_kind,
+    require_names,
     require_pose,
     require_row,
     require_text,
@@ -87,11 +88,7 @@ class Constraint(AbstractConstraint):
 
     def __init__(self, name: str, bodies: Sequence[str], zero: Callable[..., Numbers]):
         self.name = require_text("The name of a constraint", name)
-        if isinstance(bodies, str):
-            raise ValueError(
-                f"`bodies` of the constraint {name!r} is the string {bodies!r}, but must "
-                f"be a list of names, such as [{bodies!r}]."
-            )
+        require_names(f"`bodies` of the constraint {name!r}", bodies)
         self.bodies = tuple(bodies)
         if not callable(zero):
             raise ValueError(

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.host import all_concrete, concrete
+from .._utils.printing import Printed
 from .._utils.types import Corners, CornersLike, Pose, PoseLike, Scalar
 from .._utils.validation import (
     quote,
@@ -37,7 +38,7 @@ class AbstractOutline(eqx.Module):
 OutlineLike = TypeAliasType("OutlineLike", CornersLike | AbstractOutline)
 
 
-class Hinge(eqx.Module):
+class Hinge(Printed):
     """An elastic connection of frame a on body A and frame b on body B.
 
     In the reference configuration both frames coincide. Give their pose in this
@@ -84,7 +85,7 @@ class Hinge(eqx.Module):
     at: Pose | None
     ports: tuple[Pose, Pose] | None
     damping: ViscousDamping | Scalar | None
-    misfit_of_ports: bool = eqx.field(static=True)
+    misfit_of_ports: bool = eqx.field(static=True, repr=False)
     outline: Corners | AbstractOutline | None
     misfit: Pose | None = None
     expansion: Expansion | None = None

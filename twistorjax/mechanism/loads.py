@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._utils.host import as_float, concrete, on_host
+from .._utils.printing import Printed
 from .._utils.types import (
     ForceLike,
     NumberLike,
@@ -32,7 +33,7 @@ from .._utils.validation import (
 from .mechanism import COORDINATES, Mechanism
 
 
-class Load(eqx.Module):
+class Load(Printed):
     """A force and a moment on a body.
 
     Args:
@@ -91,7 +92,7 @@ class Load(eqx.Module):
         self.follower = follower
 
 
-class Drive(eqx.Module):
+class Drive(Printed):
     """A prescribed displacement of some coordinates of a body.
 
     The displacement is imposed exactly, and the reaction is returned with the solution.

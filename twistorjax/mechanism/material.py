@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float, concrete, on_host
+from .._utils.printing import Printed
 from .._utils.types import EndsLike, NumberLike, PointLike, Pose, Scalar
 from .._utils.validation import (
     require_array,
@@ -19,7 +20,7 @@ from .._utils.validation import (
 from ..energies.stress_model import Strengths
 
 
-class Material(eqx.Module):
+class Material(Printed):
     """An isotropic, linearly elastic material.
 
     Args:

@@ -32,6 +32,7 @@ from .._utils.validation import (
     PLURAL,
     quote,
     require_distinct,
+    require_names,
 )
 from ..assembly.assembly import HingeAssembly
 from ..assembly.groups import group_hinges, sums_of
@@ -585,11 +586,7 @@ class Mechanism(eqx.Module):
         Raises:
             ValueError: A name is unknown or occurs twice.
         """
-        if isinstance(chosen, str):
-            raise ValueError(
-                f"`{argument}` is the string {chosen!r}, but must be a list of names, "
-                f"such as [{chosen!r}]."
-            )
+        require_names(f"`{argument}`", chosen)
         if not isinstance(chosen, Iterable):
             raise ValueError(
                 f"`{argument}` is {quote(chosen)}, but must be a list of names "

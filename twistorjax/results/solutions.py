@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, Inexact
 from .._utils.types import Numbers
 from .._utils.validation import listing, quote
 from .codes import Solution
-from .tables import Column, Columns, columns, Tabular
+from .tables import cells, Column, Columns, columns, Tabular
 
 
 _WRENCH = ("moment", "N m"), ("force_x", "N"), ("force_y", "N")
@@ -158,8 +158,7 @@ class PoseSolution(BodySolution, BodyPoses):
         width = max(map(len, (*self.names, head)))
         lines = [f"{head:<{width}}  {'angle (rad)':>13}  {'x (m)':>13}  {'y (m)':>13}"]
         for name, values in zip(self.names, rows, strict=True):
-            cells = "  ".join(f"{value:>13.6g}" for value in values)
-            lines.append(f"{name:<{width}}  {cells}")
+            lines.append(f"{name:<{width}}  {'  '.join(cells(values))}")
         if len(lines) > 21:
             lines[11:-1] = [f"... {len(lines) - 12} more"]
         return "\n".join([title, *lines])

@@ -15,6 +15,14 @@ if TYPE_CHECKING:
     import xarray
 
 
+_NOISE = 1e-18  # Smaller displacements are rounding errors; rad, m
+
+
+def cells(displacement: np.ndarray) -> list[str]:
+    """Return the cells of a printed table for the coordinates of a displacement."""
+    return [f"{0.0 if abs(value) < _NOISE else value:>13.6g}" for value in displacement]
+
+
 class Column(eqx.Module):
     """One quantity of a solution, with its unit and the names of its axes.
 

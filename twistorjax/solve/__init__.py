@@ -15,9 +15,8 @@ about an equilibrium. `path` and what is built on it follow equilibria beyond bu
 loads (`continuation`), and `simulate` integrates the equations of motion (`integration`).
 """
 
-import lazy_loader
+from .._utils.lazy_names import attach
 
 
-# The names are imported from their modules at their first use, because some of these
-# modules import packages that take long to load. `__init__.pyi` lists them.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+# The names are imported at their first use. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -27,6 +27,7 @@ from .._utils.validation import (
     listing,
     require_array,
     require_float64,
+    require_names,
 )
 from ..assembly.assembly import HingeAssembly
 from ..assembly.out_of_plane import (
@@ -125,6 +126,7 @@ def out_of_plane(
             "`flexures.surrogate`, or give it in `hinges`."
         )
     given, parts = _given_and_parts(mechanism, hinges)
+    require_names("`fixed`", fixed)
     held = {index_of("`fixed`", "body", name, mechanism.names) for name in fixed}
     held |= {row for row in range(len(mechanism.names)) if mechanism.is_fixed(row)}
     free = [row for row in range(len(mechanism.names)) if row not in held]

@@ -34,7 +34,7 @@ from .._utils.validation import (
 )
 from ..assembly.scatter import hinge_dofs
 from ..results.codes import finish, RESULTS
-from ..results.tables import Column, Columns, columns, Tabular
+from ..results.tables import cells, Column, Columns, columns, Tabular
 from .equations.mobility import analyze_hinges, ConstraintAnalysis, HingeStiffness
 from .equations.out_of_plane import (
     amplitudes,
@@ -105,7 +105,7 @@ class OutOfPlaneResponse(Tabular):
         width = max(map(len, self.names))
         lines = [f"{'':<{width}} {heads}"]
         for name, row in zip(self.names, known[0], strict=True):
-            numbers = " ".join(f"{value:>13.6g}" for value in row)
+            numbers = " ".join(cells(row))
             lines.append(f"{name:<{width}} {numbers}")
         return "\n".join(lines)
 

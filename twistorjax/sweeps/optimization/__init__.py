@@ -7,9 +7,8 @@ form. `searches` runs the searches of `local_search` side by side and saves thei
 `conditions` has the multipliers of a design, and `optimum` the result.
 """
 
-import lazy_loader
+from ..._utils.lazy_names import attach
 
 
-# The names are imported from their modules at their first use, because some of these
-# modules import packages that take long to load. `__init__.pyi` lists them.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+# The names are imported at their first use. `__init__.pyi` lists them.
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,0 +1,32 @@
+"""Names of packages, which are imported from their modules at their first use.
+
+Some of these modules import packages that take long to load.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import lazy_loader
+
+
+def attach(
+    package: str, file: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return `__getattr__`, `__dir__`, and `__all__` of the names in its stub file."""
+    imported, listed, names = lazy_loader.attach_stub(package, file)
+
+    def get(name: str) -> Any:
+        try:
+            return imported(name)
+        except AttributeError:
+            # An error while a module is imported
+            if name in names or name.startswith("__"):
+                raise
+        from difflib import get_close_matches
+
+        message = f"The module {package!r} has no attribute {name!r}."
+        if similar := get_close_matches(name, names, 1):
+            message += f" Did you mean {similar[0]!r}?"
+        raise AttributeError(message, name=name)
+
+    return get, listed, names

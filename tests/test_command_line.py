@@ -298,3 +298,75 @@ def test_a_warm_stage_drifts(run_here):
     relative = 2 * 23.6e-6 * 7e-3
     assert 20 * relative < held["output_x_m"] < 36 * relative
     assert "guide keeps its place" in run_here("stage", "--temperature", "2.0").stdout
+
+
+GUIDE = {
+    "bodies": [
+        {"name": "base"},
+        {"name": "table", "pose": [0, 0, 0.06], "mass": 0.1, "inertia": 1e-5},
+    ],
+    "hinges": [
+        {
+            "name": name,
+            "first": "base",
+            "second": "table",
+            "at": [np.pi / 2, x, 0.03],
+            "energy": {
+                "kind": "leaf",
+                "material": "spring steel",
+                "length": 0.05,
+                "thickness": 0.5e-3,
+                "width": 0.01,
+            },
+        }
+        for name, x in (("left", -0.04), ("right", 0.04))
+    ],
+    "fixed": ["base"],
+}
+STIFFNESS = 24 * 210e9 * 10e-3 * 0.5e-3**3 / 12 / 50e-3**3  # N/m
+
+
+@pytest.fixture
+def guide_file(tmp_path):
+    path = tmp_path / "guide.json"
+    path.write_text(json.dumps({"twistorjax": 6, "mechanism": GUIDE}))
+    return str(path)
+
+
+def test_solve_computes_a_mechanism_in_a_file(run_here, guide_file, tmp_path):
+    done = run_here("solve", guide_file, "--load", "table:5,0", "--plot", "guide.png")
+    assert done.returncode == 0
+    assert "0.00118986" in done.stdout and (tmp_path / "guide.png").exists()
+    done = run_here("solve", guide_file, "--drive", "table:x=1e-4,angle=0", "--json")
+    result = json.loads(done.stdout)
+    force = result["reactions"]["table"][1]
+    np.testing.assert_allclose(force, STIFFNESS * 1e-4, rtol=1e-3)
+    np.testing.assert_allclose(
+        result["stresses_Pa"]["left"], 3 * 210e9 * 0.5e-3 * 1e-4 / 50e-3**2, rtol=0.01
+    )
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        (("--load", "table:5"), "must be BODY:FX,FY"),
+        (("--load", "table:5,y"), "has 'y' where a number is needed"),
+        (("--load", "tabel:5,0"), "names the body 'tabel'"),
+        (("--drive", "table:z=1"), "must be BODY:x=1e-3"),
+        (("--drive", "table:x=1,x=2"), "at most once"),
+    ],
+)
+def test_solve_explains_wrong_loads(option, message, run_here, guide_file):
+    done = run_here("solve", guide_file, *option)
+    assert done.returncode == 2 and message in done.stderr
+
+
+def test_modes_computes_and_animates_a_mechanism_in_a_file(
+    run_here, guide_file, tmp_path
+):
+    done = run_here("modes", guide_file, "--json", "--animate", "mode.gif")
+    lowest = json.loads(done.stdout)["frequencies_Hz"][0]
+    np.testing.assert_allclose(lowest, np.sqrt(STIFFNESS / 0.1) / 2 / np.pi, rtol=0.01)
+    assert (tmp_path / "mode.gif").stat().st_size > 1000
+    done = run_here("modes", guide_file, "--animate", "mode.gif", "--mode", "9")
+    assert (done.returncode, done.stderr.count("only 3 modes")) == (2, 1)

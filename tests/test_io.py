@@ -130,8 +130,8 @@ def file_of_stage(tmp_path_factory):
     [
         (lambda m: m.update(color="red"), "`mechanism` has the unknown field `color`"),
         (
-            lambda m: m["bodies"][1].pop("mass"),
-            "`mechanism.bodies[1]` lacks the field `mass`",
+            lambda m: m["bodies"][1].pop("name"),
+            "`mechanism.bodies[1]` lacks the field `name`",
         ),
         (
             lambda m: m["hinges"][0].update(stiff=1),
@@ -630,3 +630,64 @@ def test_exudyn_finds_the_same_small_displacements(tmp_path):
     expected = np.asarray(solution.displacements)
     tolerance = 1e-5 * np.abs(expected).max()
     np.testing.assert_allclose(np.array(rows, float), expected, rtol=1e-5, atol=tolerance)
+
+
+BY_DIMENSIONS = {
+    "bodies": [{"name": "base"}, {"name": "table", "pose": [0, 0, 0.06]}],
+    "hinges": [
+        {
+            "name": name,
+            "first": "base",
+            "second": "table",
+            "at": [np.pi / 2, x, 0.03],
+            "energy": {
+                "kind": "leaf",
+                "material": "spring steel",
+                "length": 0.05,
+                "thickness": 0.5e-3,
+                "width": 0.01,
+            },
+        }
+        for name, x in (("left", -0.04), ("right", 0.04))
+    ],
+    "fixed": ["base"],
+}
+
+
+def _loaded(content, folder):
+    path = folder / "guide.json"
+    path.write_text(json.dumps({"twistorjax": 6, "mechanism": content}))
+    return tj.io.load_mechanism(path)
+
+
+def test_flexures_in_files_may_be_given_by_their_dimensions(tmp_path):
+    guide = _loaded(BY_DIMENSIONS, tmp_path)
+    steel = tj.Material.named("spring steel")
+    leaf = tj.flexures.leaf(steel, length=0.05, thickness=0.5e-3, width=0.01)
+    found = guide.hinge_assembly.energy_of(1)
+    assert jax.tree.structure(found) == jax.tree.structure(leaf)
+    for value, expected in zip(
+        jax.tree.leaves(found), jax.tree.leaves(leaf), strict=True
+    ):
+        np.testing.assert_array_equal(value, expected)
+    tj.io.save_mechanism(guide, tmp_path / "again.json")
+    assert repr(tj.io.load_mechanism(tmp_path / "again.json")) == repr(guide)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("material", "steal", "energy.material`: There is no material 'steal'"),
+        ("material", {"modulus": 210e9}, "energy.material` lacks the field `poisson`"),
+        ("kind", "lef", 'kind` is "lef", but must be one of Quadratic'),
+        ("length", "50 mm", 'energy.length` is "50 mm", but must be a number'),
+        ("length", -1.0, "`length` is -1, but must be positive"),
+        ("lenght", 1.0, "energy` has the unknown field `lenght`"),
+        ("theory", "thick", 'theory` is "thick", but must be one of euler-bernoulli'),
+    ],
+)
+def test_wrong_dimensions_in_files_are_named(field, value, message, tmp_path):
+    content = json.loads(json.dumps(BY_DIMENSIONS))
+    content["hinges"][0]["energy"][field] = value
+    with pytest.raises(ValueError, match=re.escape(message)):
+        _loaded(content, tmp_path)

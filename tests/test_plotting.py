@@ -1,6 +1,7 @@
 """Drawings, animations and charts, checked by their artists in matplotlib."""
 
 import itertools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -99,8 +100,11 @@ def _area(corners):
 def test_flexures_without_outlines_are_drawn_by_their_contours():
     """Areas and lengths between the bodies follow from the dimensions (mm)."""
     steel = tj.Material(modulus=210e9, poisson=0.3)
-    sizes = {"length": 40e-3, "thickness": 1e-3, "width": 10e-3}
-    reinforced = {"reinforced_length": 28e-3, "reinforced_thickness": 4e-3}
+    sizes: dict[str, Any] = {"length": 40e-3, "thickness": 1e-3, "width": 10e-3}
+    reinforced: dict[str, Any] = {
+        "reinforced_length": 28e-3,
+        "reinforced_thickness": 4e-3,
+    }
     arc = tj.flexures.Beam(steel, curvature=20.0, **sizes)
     half_chord = np.sin(0.4) / 20e-3
     sagitta = (1 - np.cos(0.4)) / 20e-3

@@ -16,8 +16,10 @@ from .fit_energy import fit_energy
 from .four_bar import four_bar
 from .four_bar_models import four_bar_models
 from .identify import identify
+from .modes import modes
 from .parallelogram import parallelogram
 from .random_data import random_data
+from .solve import solve
 from .stage import stage
 from .sweep import sweep
 from .truss import truss
@@ -28,6 +30,8 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 _SHORT_HELP = {
+    solve: "Equilibrium of a mechanism in a file.",
+    modes: "Natural frequencies of a mechanism in a file.",
     stage: "Gain of the micropositioning stage.",
     four_bar: "Motion of the four-bar linkages.",
     four_bar_models: "Hinge models of the four-bar linkages.",

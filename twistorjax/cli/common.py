@@ -118,6 +118,9 @@ EnergyOption = Annotated[
 SeedOption = Annotated[
     int, typer.Option(help="Seed of the random numbers.", min=0, max=LARGEST_SEED)
 ]
+MechanismFile = Annotated[
+    str, typer.Argument(help="The .json file of a mechanism; see the manual page Files.")
+]
 PlotOption = Annotated[
     Path | None,
     typer.Option(help="Draw the results to this file.", callback=check_figure),
@@ -150,6 +153,27 @@ def save_figure(path: Path, drawn: Any) -> None:
     """Write a figure, or the figure of some axes, to the file that --plot names."""
     with reporting_errors("--plot cannot be written: "):
         getattr(drawn, "figure", drawn).savefig(path, dpi=160)
+
+
+def save_animation(path: Path, mechanism: Any, motion: Any, **options: Any) -> None:
+    """Write an animation to the file that --animate names."""
+    from ..plotting.animation import animate
+
+    animation = animate(mechanism, motion, **options)
+    with reporting_errors("--animate cannot be written: "):
+        if path.suffix.lower() == ".html":
+            path.write_text(animation.to_jshtml(), encoding="utf-8")
+        else:
+            writer = "pillow" if path.suffix.lower() == ".gif" else "ffmpeg"
+            animation.save(path, writer=writer, dpi=100)
+
+
+def load_mechanism(path: str) -> Any:
+    """Read the mechanism of a .json file."""
+    from ..io import load_mechanism
+
+    with reporting_errors():
+        return load_mechanism(path)
 
 
 def print_result(

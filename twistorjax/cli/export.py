@@ -9,6 +9,7 @@ import typer
 from .common import (
     check_folder,
     JsonOption,
+    load_mechanism,
     prepare_jax,
     print_result,
     reporting_errors,
@@ -79,7 +80,6 @@ def _load(name: str) -> Any:
     """Return the mechanism of an example, or of the model in a .json file."""
     from ..examples.four_bar import four_bar
     from ..examples.stage import microstage
-    from ..io import load_mechanism
 
     if name == "stage":
         return microstage()
@@ -87,5 +87,4 @@ def _load(name: str) -> Any:
         return four_bar("identical")
     if name == "four-bar-leaves-and-notches":
         return four_bar("leaves-and-notches")
-    with reporting_errors():
-        return load_mechanism(name)
+    return load_mechanism(name)

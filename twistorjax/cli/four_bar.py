@@ -17,8 +17,8 @@ from .common import (
     prepare_jax,
     print_result,
     progress_bar,
-    reporting_errors,
     require_success,
+    save_animation,
     save_figure,
     UsageError,
 )
@@ -113,7 +113,7 @@ def four_bar(
     if animate is not None:
         end = output_times[-1]
         frames = simulate([end * k / 100 for k in range(101)])
-        _save_animation(animate, linkage, frames)
+        save_animation(animate, linkage, frames, slower=10)
     rows = slice(first_row, None)
     print_result(_table(motion, rows), _record(motion, rows), as_json)
 
@@ -177,16 +177,3 @@ def _table(motion: Any, rows: slice) -> str:
         lines.append("  ".join(f"{float(value):>11.6g}" for value in row))
     lines.append(f"{int(motion.steps)} steps")
     return "\n".join(lines)
-
-
-def _save_animation(path: Path, mechanism: Any, motion: Any) -> None:
-    """Write an animation, ten times slower than the motion, to a file."""
-    from ..plotting.animation import animate
-
-    animation = animate(mechanism, motion, slower=10)
-    with reporting_errors("--animate cannot be written: "):
-        if path.suffix.lower() == ".html":
-            path.write_text(animation.to_jshtml(), encoding="utf-8")
-        else:
-            writer = "pillow" if path.suffix.lower() == ".gif" else "ffmpeg"
-            animation.save(path, writer=writer, dpi=100)

@@ -21,7 +21,7 @@ from typing_extensions import TypeAliasType
 
 from .._utils.host import as_float
 from .._utils.json_files import describe_value, entry_name, Keys
-from .._utils.types import Point, Scalar
+from .._utils.types import NumberLike, Point, Scalar
 from ..energies.axial_spring import AxialSpring
 from ..energies.base import AbstractEnergy, Scaled, Sum
 from ..energies.beam_column import BeamColumn
@@ -40,9 +40,13 @@ from ..flexures.beams.stress_models import (
     SectionStress,
 )
 from ..flexures.condensed import Condensed
+from ..flexures.contours.leaves import filleted_leaf, reinforced_leaf
+from ..flexures.contours.notches import elliptical_notch, parabolic_notch, v_notch
+from ..flexures.leaf import leaf, linear_leaf, quartic_leaf
+from ..flexures.notch import notch
 from ..mechanism.body import Body
 from ..mechanism.hinge import AbstractOutline, Hinge
-from ..mechanism.material import Expansion
+from ..mechanism.material import Expansion, Material
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.sub_mechanism import SubMechanism
 
@@ -70,6 +74,22 @@ _CLASSES = {
         BeamColumnStress,
         BeamStress,
         MechanismStress,
+    )
+}
+# Functions that create an energy from dimensions. A file that is read may have their
+# names as `kind`.
+_FLEXURES: dict[str, Callable[..., AbstractEnergy]] = {
+    create.__name__: create
+    for create in (
+        leaf,
+        linear_leaf,
+        quartic_leaf,
+        notch,
+        filleted_leaf,
+        reinforced_leaf,
+        elliptical_notch,
+        parabolic_notch,
+        v_notch,
     )
 }
 # Base classes of objects with the field `kind`, and their names in messages
@@ -201,6 +221,8 @@ class Entry(NamedTuple):
 def from_record(annotation: Any, entry: Entry) -> Any:
     """Create a value of a type, such as a class, from its entry in a file."""
     options = {_json_type(option): option for option in _options(annotation)}
+    if annotation is Material and isinstance(entry.content, str):
+        return _named_material(entry)
     json_type = entry.require_type(options)
     option = options[json_type]
     if json_type == "an object":
@@ -260,11 +282,11 @@ def _object(annotation: Any, entry: Entry) -> Any:
     if get_origin(annotation) is dict:
         _, item = get_args(annotation)
         return {name: from_record(item, entry.part(name)) for name in content}
-    created = annotation
+    create: Any = annotation
     if annotation in _NOUNS:
-        created = _class_of(annotation, entry)
+        create = _created_by_kind(annotation, entry)
         content = {name: part for name, part in content.items() if name != "kind"}
-    create: Any = _CREATE.get(created, created)
+    create = _CREATE.get(create, create)
     layout = _layout(create)
     for name in content:
         if name not in layout:
@@ -283,13 +305,23 @@ def _object(annotation: Any, entry: Entry) -> Any:
     return value
 
 
-def _class_of(base: type, entry: Entry) -> type:
+def _created_by_kind(base: type, entry: Entry) -> Callable[..., Any]:
+    """Return the class or the function that the field `kind` names."""
     if "kind" not in entry.content:
         raise ValueError(f"{entry.name} lacks the field `kind`.")
-    kind, kinds = entry.part("kind"), _kinds(base)
-    if kind.content not in kinds:
-        raise kind.mismatch(f"one of {', '.join(kinds)}")
-    return _CLASSES[kind.content]
+    kind, creators = entry.part("kind"), {name: _CLASSES[name] for name in _kinds(base)}
+    if base is AbstractEnergy:
+        creators = creators | _FLEXURES
+    if kind.content not in list(creators):
+        raise kind.mismatch(f"one of {', '.join(creators)}")
+    return creators[kind.content]
+
+
+def _named_material(entry: Entry) -> Material:
+    try:
+        return Material.named(entry.content)
+    except ValueError as error:
+        raise ValueError(f"{entry.name}: {error}") from None
 
 
 @cache
@@ -298,16 +330,23 @@ def _layout(create: Callable[..., Any]) -> dict[str, tuple[Any, bool]]:
 
     They are those of the fields of a class, or of the parameters of a function.
     """
-    types = get_type_hints(create)
+    types, parameters = get_type_hints(create), signature(create).parameters
+    is_required = {
+        name: parameter.default is Parameter.empty
+        for name, parameter in parameters.items()
+    }
     if isinstance(create, type):
         return {
-            field.name: (types[field.name], field.default is MISSING)
+            field.name: (
+                types[field.name],
+                field.default is MISSING and is_required.get(field.name, True),
+            )
             for field in fields(create)
             if field.name not in _NOT_IN_FILES
         }
     return {
-        name: (types[name], parameter.default is Parameter.empty)
-        for name, parameter in signature(create).parameters.items()
+        name: (Scalar if types[name] is NumberLike else types[name], is_required[name])
+        for name in parameters
     }
 
 
@@ -326,6 +365,21 @@ def _create_mechanism(
     return Mechanism(bodies, shared, fixed)
 
 
+def _create_material(
+    modulus: Scalar,
+    poisson: Scalar,
+    density: Scalar | None = None,
+    expansion: Scalar | None = None,
+    strength: Scalar | None = None,
+    ultimate_strength: Scalar | None = None,
+    endurance_limit: Scalar | None = None,
+) -> Material:
+    return Material(
+        modulus, poisson, density, expansion, strength, ultimate_strength,
+        endurance_limit,
+    )  # fmt: skip
+
+
 def _create_expansion(
     coefficient: Scalar,
     length: Scalar | None = None,
@@ -342,5 +396,6 @@ def _create_expansion(
 _CREATE: dict[type, Callable[..., Any]] = {
     AbstractOutline: SubMechanism,
     Expansion: _create_expansion,
+    Material: _create_material,
     Mechanism: _create_mechanism,
 }

@@ -10,6 +10,8 @@ from .._utils.host import as_float, concrete, on_host
 from .._utils.printing import Printed
 from .._utils.types import EndsLike, NumberLike, PointLike, Pose, Scalar
 from .._utils.validation import (
+    listing,
+    quote,
     require_array,
     require_finite,
     require_interval,
@@ -18,6 +20,7 @@ from .._utils.validation import (
     warn,
 )
 from ..energies.stress_model import Strengths
+from .materials import MATERIALS
 
 
 class Material(Printed):
@@ -90,6 +93,29 @@ class Material(Printed):
                 for name, value in given.items()
             )
         )
+
+    @classmethod
+    def named(cls, name: str) -> "Material":
+        """Return a material with typical values, for a first design.
+
+        Args:
+            name: "spring steel", "aluminum 7075-T6", "titanium Ti-6Al-4V", "silicon" (in
+                the plane of a (100) wafer, along <110>), or "PEEK". `mechanism.materials`
+                lists the values and their sources.
+
+        Raises:
+            ValueError: There is no such material.
+
+        Example:
+            >>> Material.named("aluminum 7075-T6").density
+            Array(2810., dtype=float64)
+        """
+        if name not in MATERIALS:
+            raise ValueError(
+                f"There is no material {quote(name)}. There are {listing(MATERIALS)}. "
+                "Others are created by `Material(modulus=..., poisson=...)`."
+            )
+        return cls(**MATERIALS[name])
 
     @property
     def shear_modulus(self) -> Scalar:

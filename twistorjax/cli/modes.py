@@ -1,0 +1,61 @@
+"""`twistorjax modes`: the vibrations of a mechanism in a file."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .common import (
+    check_animation,
+    JsonOption,
+    load_mechanism,
+    MechanismFile,
+    prepare_jax,
+    print_result,
+    reporting_errors,
+    save_animation,
+    UsageError,
+)
+
+
+def modes(
+    mechanism: MechanismFile,
+    as_json: JsonOption = False,
+    animate: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write an animation of the mode to this file: .gif, .mp4, or .html.",
+            callback=check_animation,
+        ),
+    ] = None,
+    mode: Annotated[
+        int, typer.Option(help="The mode that is animated, from 1.", min=1)
+    ] = 1,
+) -> None:
+    """Compute the natural frequencies of a mechanism in its plane.
+
+    The table says if there are lower ones out of the plane.
+
+    Example: twistorjax modes guide.json --animate mode.gif
+    """
+    prepare_jax()
+    from ..solve.vibrations import vibrations
+
+    model = load_mechanism(mechanism)
+    with reporting_errors():
+        found = vibrations(model)
+    count = len(found.frequencies)
+    if animate is not None and mode > count:
+        raise UsageError(f"--mode is {mode}, but there are only {count} modes.")
+    names = [str(name) for name in found.names]
+    record = {
+        "frequencies_Hz": found.frequencies.tolist(),
+        "shapes": [
+            dict(zip(names, shape, strict=True)) for shape in found.shapes.tolist()
+        ],
+    }
+    print_result(found, record, as_json)
+    if animate is not None:
+        save_animation(animate, model, found, mode=mode - 1)
+        if not as_json:
+            print(f"animation saved to {animate}")

@@ -1,0 +1,105 @@
+"""`twistorjax solve`: the equilibrium of a mechanism in a file."""
+
+from typing import Annotated, Any
+
+import typer
+
+from .common import (
+    JsonOption,
+    load_mechanism,
+    MechanismFile,
+    PlotOption,
+    prepare_jax,
+    print_result,
+    reporting_errors,
+    UsageError,
+)
+
+
+def solve(
+    mechanism: MechanismFile,
+    load: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Force (N) on a body at its origin, and a moment (N m): BODY:FX,FY or "
+            "BODY:FX,FY,MOMENT. It may be repeated."
+        ),
+    ] = None,
+    drive: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Prescribed displacement of a body (rad, m, m): BODY:x=1e-3 or "
+            "BODY:angle=0,y=1e-3. It may be repeated."
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+    plot: PlotOption = None,
+) -> None:
+    """Compute the equilibrium of a mechanism under loads and prescribed displacements.
+
+    Example: twistorjax solve guide.json --load table:5,0 --plot guide.png
+    """
+    prepare_jax()
+    from ..plotting.drawing import draw
+    from ..solve.equilibrium import equilibrium
+
+    model = load_mechanism(mechanism)
+    with reporting_errors("--load: "):
+        loads = [_load(text) for text in load or ()]
+    with reporting_errors("--drive: "):
+        drives = [_drive(text) for text in drive or ()]
+    with reporting_errors():
+        solution = equilibrium(model, loads=loads, drives=drives)
+    record: dict[str, Any] = {
+        "displacements": _by_name(solution.names, solution.displacements),
+        "reactions": _by_name(solution.names, solution.reactions),
+        "energy_J": float(solution.energy),
+    }
+    if solution.stresses is not None:
+        largest = solution.stresses.largest
+        record["stresses_Pa"] = _by_name(solution.stresses.names, largest)
+    print_result(
+        solution, record, as_json, plot=plot,
+        draw=lambda: draw(model, solution, loads=loads),
+    )  # fmt: skip
+
+
+def _by_name(names: tuple[str, ...], values: Any) -> dict[str, Any]:
+    return dict(zip(names, values.tolist(), strict=True))
+
+
+def _load(text: str) -> Any:
+    """Read BODY:FX,FY or BODY:FX,FY,MOMENT."""
+    from ..mechanism.loads import Load
+
+    body, _, values = text.rpartition(":")
+    numbers = [_number(text, value) for value in values.split(",")]
+    if not body or len(numbers) not in (2, 3):
+        raise UsageError(
+            f"--load is {text!r}, but must be BODY:FX,FY or BODY:FX,FY,MOMENT, such as "
+            "table:5,0."
+        )
+    return Load(body, force=numbers[:2], moment=numbers[2] if numbers[2:] else 0.0)
+
+
+def _drive(text: str) -> Any:
+    """Read BODY:COORDINATE=VALUE,COORDINATE=VALUE."""
+    from ..mechanism.loads import Drive
+
+    body, _, values = text.rpartition(":")
+    pairs = [value.partition("=") for value in values.split(",")]
+    names = [name for name, _, _ in pairs]
+    known = set(names) <= {"angle", "x", "y"} and len(set(names)) == len(names)
+    if not body or not known:
+        raise UsageError(
+            f"--drive is {text!r}, but must be BODY:x=1e-3, with each of angle (rad), x, "
+            "and y (m) at most once."
+        )
+    return Drive(body, **{name: _number(text, value) for name, _, value in pairs})
+
+
+def _number(text: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise UsageError(f"{text!r} has {value!r} where a number is needed.") from None

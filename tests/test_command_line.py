@@ -370,3 +370,14 @@ def test_modes_computes_and_animates_a_mechanism_in_a_file(
     assert (tmp_path / "mode.gif").stat().st_size > 1000
     done = run_here("modes", guide_file, "--animate", "mode.gif", "--mode", "9")
     assert (done.returncode, done.stderr.count("only 3 modes")) == (2, 1)
+
+
+def test_report_writes_a_page_about_a_mechanism_in_a_file(run_here, guide_file, tmp_path):
+    done = run_here("report", guide_file, "--load", "table:5,0", "--out", "guide.html")
+    assert (done.returncode, done.stdout) == (0, "saved to guide.html\n")
+    page = (tmp_path / "guide.html").read_text()
+    assert page.count("<h2>") == 8 and page.count("<svg") == 2
+    assert "0.00118986" in page and "150.9" in page
+    assert "<p>Not computed: &#x27;table&#x27; can move out of the plane" in page
+    assert "src=" not in page and "@import" not in page
+    assert run_here("report", guide_file, "--out", "guide.pdf").returncode == 2

@@ -19,6 +19,7 @@ from .identify import identify
 from .modes import modes
 from .parallelogram import parallelogram
 from .random_data import random_data
+from .report import report
 from .solve import solve
 from .stage import stage
 from .sweep import sweep
@@ -31,6 +32,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 _SHORT_HELP = {
     solve: "Equilibrium of a mechanism in a file.",
+    report: "A page about a mechanism in a file.",
     modes: "Natural frequencies of a mechanism in a file.",
     stage: "Gain of the micropositioning stage.",
     four_bar: "Motion of the four-bar linkages.",

@@ -84,7 +84,7 @@ def check_figure(path: Path | None) -> Path | None:
     if path is None:
         return None
     check_folder(path)
-    _require_matplotlib()
+    require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     _check_suffix(path, list(FigureCanvasAgg.get_supported_filetypes()))
@@ -96,7 +96,7 @@ def check_animation(path: Path | None) -> Path | None:
     if path is None:
         return None
     check_folder(path)
-    _require_matplotlib()
+    require_matplotlib()
     _check_suffix(path, ["gif", "mp4", "html"])
     if path.suffix.lower() == ".mp4":
         from matplotlib.animation import writers
@@ -249,7 +249,7 @@ def require_success(motion: Any) -> None:
         )
 
 
-def _require_matplotlib() -> None:
+def require_matplotlib() -> None:
     """Import matplotlib and select a backend that needs no display."""
     try:
         import matplotlib

@@ -16,22 +16,26 @@ from .common import (
 )
 
 
+LoadOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Force (N) on a body at its origin, and a moment (N m): BODY:FX,FY or "
+        "BODY:FX,FY,MOMENT. It may be repeated."
+    ),
+]
+DriveOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Prescribed displacement of a body (rad, m, m): BODY:x=1e-3 or "
+        "BODY:angle=0,y=1e-3. It may be repeated."
+    ),
+]
+
+
 def solve(
     mechanism: MechanismFile,
-    load: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Force (N) on a body at its origin, and a moment (N m): BODY:FX,FY or "
-            "BODY:FX,FY,MOMENT. It may be repeated."
-        ),
-    ] = None,
-    drive: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Prescribed displacement of a body (rad, m, m): BODY:x=1e-3 or "
-            "BODY:angle=0,y=1e-3. It may be repeated."
-        ),
-    ] = None,
+    load: LoadOption = None,
+    drive: DriveOption = None,
     as_json: JsonOption = False,
     plot: PlotOption = None,
 ) -> None:
@@ -44,10 +48,7 @@ def solve(
     from ..solve.equilibrium import equilibrium
 
     model = load_mechanism(mechanism)
-    with reporting_errors("--load: "):
-        loads = [_load(text) for text in load or ()]
-    with reporting_errors("--drive: "):
-        drives = [_drive(text) for text in drive or ()]
+    loads, drives = inputs(load, drive)
     with reporting_errors():
         solution = equilibrium(model, loads=loads, drives=drives)
     record: dict[str, Any] = {
@@ -62,6 +63,15 @@ def solve(
         solution, record, as_json, plot=plot,
         draw=lambda: draw(model, solution, loads=loads),
     )  # fmt: skip
+
+
+def inputs(load: list[str] | None, drive: list[str] | None) -> tuple[list, list]:
+    """Return the loads and the drives that the options describe."""
+    with reporting_errors("--load: "):
+        loads = [_load(text) for text in load or ()]
+    with reporting_errors("--drive: "):
+        drives = [_drive(text) for text in drive or ()]
+    return loads, drives
 
 
 def _by_name(names: tuple[str, ...], values: Any) -> dict[str, Any]:

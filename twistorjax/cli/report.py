@@ -1,0 +1,173 @@
+"""`twistorjax report`: one page about a mechanism in a file."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from html import escape
+from io import StringIO
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import typer
+
+from .common import (
+    check_folder,
+    load_mechanism,
+    MechanismFile,
+    prepare_jax,
+    reporting_errors,
+    require_matplotlib,
+    UsageError,
+)
+from .solve import DriveOption, inputs, LoadOption
+
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<style>
+:root {{ color-scheme: light dark; }}
+body {{ font: 16px/1.5 sans-serif; max-width: 52rem; }}
+body {{ margin: 2rem auto; padding: 0 1rem; }}
+pre {{ overflow-x: auto; font-size: 13px; }}
+svg {{ max-width: 100%; height: auto; background: white; border-radius: 6px; }}
+</style>
+<h1>{title}</h1>
+{sections}
+</html>
+"""
+
+
+class Section(NamedTuple):
+    """A part of the page: how its result is computed and drawn."""
+
+    title: str
+    compute: Callable[[], Any]
+    draw: Callable[[Any], Any] | None = None
+
+
+def report(
+    mechanism: MechanismFile,
+    out: Annotated[
+        Path, typer.Option(help="The page: an .html file.", callback=check_folder)
+    ] = Path("report.html"),
+    load: LoadOption = None,
+    drive: DriveOption = None,
+) -> None:
+    """Write a page about a mechanism: stiffness, vibrations, and equilibrium.
+
+    It has the over-constraints, the stiffness of each body in the plane and out of it,
+    the vibrations, and, under the loads, the equilibrium, the stresses, and the range of
+    motion. What cannot be computed is explained.
+
+    Example: twistorjax report guide.json --load table:5,0 --out guide.html
+    """
+    if out.suffix.lower() != ".html":
+        raise UsageError(f"--out is {out}, but must end with .html.")
+    require_matplotlib()
+    prepare_jax()
+    model = load_mechanism(mechanism)
+    sections = _sections(model, *inputs(load, drive))
+    # Most of the time is compilation, for which two processors are used.
+    with ThreadPoolExecutor(2) as pool:
+        found = pool.map(_computed, sections)
+        parts = [
+            _html(section, *each) for section, each in zip(sections, found, strict=True)
+        ]
+    title = escape(Path(mechanism).stem)
+    with reporting_errors("--out cannot be written: "):
+        out.write_text(
+            _PAGE.format(title=title, sections="\n".join(parts)), encoding="utf-8"
+        )
+    print(f"saved to {out}")
+
+
+def _sections(model: Any, loads: list, drives: list) -> list[Section]:
+    """List the parts of the page."""
+    from ..plotting.drawing import draw
+    from ..plotting.oblique import draw_out_of_plane
+    from ..solve.constraint_analysis import constraint_analysis
+    from ..solve.equilibrium import equilibrium
+    from ..solve.out_of_plane import out_of_plane
+    from ..solve.port_compliance import port_compliance
+    from ..solve.range_of_motion import range_of_motion
+    from ..solve.vibrations import vibrations
+
+    free = [name for row, name in enumerate(model.names) if not model.is_fixed(row)]
+
+    def under_loads() -> Any:
+        return equilibrium(model, loads=loads, drives=drives)
+
+    def drawn(solution: Any) -> Any:
+        color = None if solution.stresses is None else "stress"
+        return draw(model, solution, loads=loads, color=color)
+
+    def stiffness() -> str:
+        return "\n\n".join(str(port_compliance(model, name)) for name in free)
+
+    def vibrations_out_of_plane() -> Any:
+        return out_of_plane(model).vibrations()
+
+    sections = [
+        Section("Mechanism", lambda: model, draw),
+        Section("Constraints", lambda: constraint_analysis(model)),
+        Section("Stiffness in the plane", stiffness),
+        Section("Stiffness out of the plane", lambda: _support(model, free)),
+        Section("Vibrations in the plane", lambda: vibrations(model)),
+        Section(
+            "Vibrations out of the plane",
+            vibrations_out_of_plane,
+            lambda found: draw_out_of_plane(model, found),
+        ),
+    ]
+    if loads or drives:
+        sections[1:1] = [
+            Section("Equilibrium", under_loads, drawn),
+            Section(
+                "Range of motion",
+                lambda: range_of_motion(model, loads=loads, drives=drives),
+            ),
+        ]
+    return sections
+
+
+def _support(model: Any, free: list[str]) -> str:
+    """Return the stiffness of bodies out of the plane, if they may tilt, as a table."""
+    import numpy as np
+
+    from ..solve.out_of_plane import out_of_plane
+
+    support = out_of_plane(model)
+    width = max(map(len, [*free, "body"]))
+    heads = "along z (N/m)", "about 1 (N m/rad)", "about 2 (N m/rad)"
+    lines = ["  ".join([f"{'body':<{width}}", *(f"{head:>17}" for head in heads)])]
+    for name in free:
+        values = 1 / np.diagonal(np.asarray(support.compliance_at(name)))
+        cells = (f"{value:>17.6g}" for value in values)
+        lines.append("  ".join([f"{name:<{width}}", *cells]))
+    return "\n".join(lines)
+
+
+def _computed(section: Section) -> tuple[Any, str]:
+    """Return a result and its text, or the reason why it cannot be computed, as HTML."""
+    try:
+        result = section.compute()
+    except (ValueError, RuntimeError) as error:
+        return None, f"<p>Not computed: {escape(str(error))}</p>"
+    text = str(result)
+    if (stresses := getattr(result, "stresses", None)) is not None:
+        text += f"\n\n{stresses}"
+    return result, f"<pre>{escape(text)}</pre>"
+
+
+def _html(section: Section, result: Any, text: str) -> str:
+    """Return a part of the page."""
+    figure = ""
+    if section.draw is not None and result is not None:
+        image = StringIO()
+        drawing = section.draw(result).figure
+        drawing.savefig(image, format="svg", bbox_inches="tight")
+        figure = image.getvalue()
+        figure = figure[figure.index("<svg") :]
+    return f"<h2>{section.title}</h2>\n{text}\n{figure}"

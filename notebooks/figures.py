@@ -1,8 +1,9 @@
 """Hook of mkdocs: the code of a page draws its figures.
 
-A page refers to a figure that its own code saves: `![A guide](guide.svg)`.
-No such file is kept; the code of the page runs while the manual is built.
-Figures of the same code and the same sources of the library are drawn once.
+A page shows a figure that its own code saves: `![A guide](guide.svg)`. The
+file is not kept; the code of the page runs while the manual is built. Other
+pages may show it as well. The figures of a page are drawn again if its code
+or the library has changed.
 """
 
 import hashlib
@@ -23,7 +24,7 @@ CACHE = FOLDER.parent / ".cache" / "figures"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the figures that pages refer to and that are not files."""
+    """Add the figures that the code of pages saves."""
     wanted = [
         (page, names)
         for page in files.documentation_pages()
@@ -47,12 +48,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def figures_of(page: File) -> list[str]:
-    """Return the names of the figures that the code of a page draws."""
+    """Return the names of the figures that a page shows and saves."""
     if not page.src_uri.endswith(".md"):
         return []
-    names = re.findall(r"!\[[^]]*\]\(([\w-]+\.svg)\)", page.content_string)
-    folder = (FOLDER / page.src_uri).parent
-    return [name for name in names if not (folder / name).exists()]
+    shown = re.findall(r"!\[[^]]*\]\(([\w-]+\.svg)\)", page.content_string)
+    code = "\n".join(code_of(page.content_string))
+    return [name for name in shown if f'"{name}"' in code]
 
 
 def draw(text: str) -> Path:

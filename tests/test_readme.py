@@ -20,10 +20,12 @@ mpl.use("agg")
 
 ROOT = pathlib.Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
-MANUAL = ROOT / "notebooks" / "manual"
-PAGES = sorted(
-    path.stem for path in MANUAL.glob("*.md") if "```python\n" in path.read_text()
-)
+MANUAL, GALLERY = ROOT / "notebooks" / "manual", ROOT / "notebooks" / "gallery"
+PAGES = {
+    path.stem: path
+    for path in sorted([*MANUAL.glob("*.md"), *GALLERY.glob("*.md")])
+    if "```python\n" in path.read_text()
+}
 
 
 def outputs_of(text: str) -> list[tuple[str, str]]:
@@ -70,7 +72,7 @@ def run_page(monkeypatch, tmp_path):
 
     def run(name: str) -> dict:
         variables: dict = {}
-        for code, output in outputs_of((MANUAL / f"{name}.md").read_text()):
+        for code, output in outputs_of(PAGES[name].read_text()):
             printed = io.StringIO()
             with contextlib.redirect_stdout(printed):
                 exec(code, variables)

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -62,10 +63,7 @@ def draw(text: str) -> Path:
     Returns the folder with its figures.
     """
     code = "\n".join(code_of(text))
-    sources = sorted((FOLDER.parent / "twistorjax").rglob("*.py"))
-    digest = hashlib.sha256(code.encode())
-    for source in sources:
-        digest.update(source.read_bytes())
+    digest = hashlib.sha256(code.encode() + sources())
     folder = CACHE / digest.hexdigest()[:16]
     if folder.exists():
         return folder
@@ -81,6 +79,14 @@ def draw(text: str) -> Path:
         )
         shutil.copytree(work, folder, dirs_exist_ok=True)
     return folder
+
+
+@cache
+def sources() -> bytes:
+    """Return a digest of the sources of the library."""
+    paths = sorted((FOLDER.parent / "twistorjax").rglob("*.py"))
+    content = b"".join(path.read_bytes() for path in paths)
+    return hashlib.sha256(content).digest()
 
 
 def code_of(text: str) -> list[str]:

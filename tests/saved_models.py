@@ -155,17 +155,19 @@ BEAM = BeamStress(
 )
 
 
+NOTCH = SectionStress(
+    arm=jnp.asarray(0.0),
+    thickness=COLUMN.thickness,
+    width=COLUMN.width,
+    ratio=jnp.asarray(0.05),
+    strengths=STRENGTHS,
+)
+
+
 def _of_layout_5():
-    notch = SectionStress(
-        arm=jnp.asarray(0.0),
-        thickness=COLUMN.thickness,
-        width=COLUMN.width,
-        ratio=jnp.asarray(0.05),
-        strengths=STRENGTHS,
-    )
     stiffness = np.diag([2.0, 3e5, 400.0])
     return {
-        "notch": tj.Quadratic(stiffness, flexure=True, stress_model=notch),
+        "notch": tj.Quadratic(stiffness, flexure=True, stress_model=NOTCH),
         "column": BeamColumn(0.1, 0.35, 4.2e6, 1.3e6, stress_model=COLUMN),
         "beam": _beam(BEAM),
     }
@@ -188,12 +190,10 @@ def _of_layout_6():
         continues=jnp.array([1.0, 0.0]),
         breaks=jnp.array([-0.04, -0.03, 0.03, 0.04]),
     )
-    reinforced = SectionStress(
+    reinforced = replace(
+        NOTCH,
         arm=jnp.asarray(0.05),
-        thickness=COLUMN.thickness,
-        width=COLUMN.width,
         ratio=jnp.asarray(0.0),
-        strengths=STRENGTHS,
         moduli=(jnp.asarray(210e9), jnp.asarray(81e9)),
         reinforced=jnp.array([0.07, 3e-3]),
     )
@@ -240,4 +240,29 @@ _ENERGIES = {
     4: _of_layout_4,
     5: _of_layout_5,
     6: _of_layout_6,
+}
+
+# A file of a user, with dimensions instead of energies
+GUIDE_BY_DIMENSIONS = {
+    "bodies": [
+        {"name": "base"},
+        {"name": "table", "pose": [0, 0, 0.06], "mass": 0.1, "inertia": 1e-5},
+    ],
+    "hinges": [
+        {
+            "name": name,
+            "first": "base",
+            "second": "table",
+            "at": [np.pi / 2, x, 0.03],
+            "energy": {
+                "kind": "leaf",
+                "material": "spring steel",
+                "length": 0.05,
+                "thickness": 0.5e-3,
+                "width": 0.01,
+            },
+        }
+        for name, x in (("left", -0.04), ("right", 0.04))
+    ],
+    "fixed": ["base"],
 }

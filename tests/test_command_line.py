@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from saved_models import GUIDE_BY_DIMENSIONS
 
 import twistorjax as tj
 
@@ -300,36 +301,13 @@ def test_a_warm_stage_drifts(run_here):
     assert "guide keeps its place" in run_here("stage", "--temperature", "2.0").stdout
 
 
-GUIDE = {
-    "bodies": [
-        {"name": "base"},
-        {"name": "table", "pose": [0, 0, 0.06], "mass": 0.1, "inertia": 1e-5},
-    ],
-    "hinges": [
-        {
-            "name": name,
-            "first": "base",
-            "second": "table",
-            "at": [np.pi / 2, x, 0.03],
-            "energy": {
-                "kind": "leaf",
-                "material": "spring steel",
-                "length": 0.05,
-                "thickness": 0.5e-3,
-                "width": 0.01,
-            },
-        }
-        for name, x in (("left", -0.04), ("right", 0.04))
-    ],
-    "fixed": ["base"],
-}
 STIFFNESS = 24 * 210e9 * 10e-3 * 0.5e-3**3 / 12 / 50e-3**3  # N/m
 
 
 @pytest.fixture
 def guide_file(tmp_path):
     path = tmp_path / "guide.json"
-    path.write_text(json.dumps({"twistorjax": 6, "mechanism": GUIDE}))
+    path.write_text(json.dumps({"twistorjax": 6, "mechanism": GUIDE_BY_DIMENSIONS}))
     return str(path)
 
 

@@ -21,7 +21,7 @@ import pytest
 import shapely
 from ezdxf.entities.lwpolyline import LWPolyline
 from helpers import assert_close, for_each
-from saved_models import saved_mechanism
+from saved_models import GUIDE_BY_DIMENSIONS, saved_mechanism
 from shapely.geometry import Polygon
 
 import twistorjax as tj
@@ -632,28 +632,6 @@ def test_exudyn_finds_the_same_small_displacements(tmp_path):
     np.testing.assert_allclose(np.array(rows, float), expected, rtol=1e-5, atol=tolerance)
 
 
-BY_DIMENSIONS = {
-    "bodies": [{"name": "base"}, {"name": "table", "pose": [0, 0, 0.06]}],
-    "hinges": [
-        {
-            "name": name,
-            "first": "base",
-            "second": "table",
-            "at": [np.pi / 2, x, 0.03],
-            "energy": {
-                "kind": "leaf",
-                "material": "spring steel",
-                "length": 0.05,
-                "thickness": 0.5e-3,
-                "width": 0.01,
-            },
-        }
-        for name, x in (("left", -0.04), ("right", 0.04))
-    ],
-    "fixed": ["base"],
-}
-
-
 def _loaded(content, folder):
     path = folder / "guide.json"
     path.write_text(json.dumps({"twistorjax": 6, "mechanism": content}))
@@ -661,7 +639,7 @@ def _loaded(content, folder):
 
 
 def test_flexures_in_files_may_be_given_by_their_dimensions(tmp_path):
-    guide = _loaded(BY_DIMENSIONS, tmp_path)
+    guide = _loaded(GUIDE_BY_DIMENSIONS, tmp_path)
     steel = tj.Material.named("spring steel")
     leaf = tj.flexures.leaf(steel, length=0.05, thickness=0.5e-3, width=0.01)
     found = guide.hinge_assembly.energy_of(1)
@@ -687,7 +665,7 @@ def test_flexures_in_files_may_be_given_by_their_dimensions(tmp_path):
     ],
 )
 def test_wrong_dimensions_in_files_are_named(field, value, message, tmp_path):
-    content = json.loads(json.dumps(BY_DIMENSIONS))
+    content = json.loads(json.dumps(GUIDE_BY_DIMENSIONS))
     content["hinges"][0]["energy"][field] = value
     with pytest.raises(ValueError, match=re.escape(message)):
         _loaded(content, tmp_path)

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -84,10 +84,18 @@ def check_figure(path: Path | None) -> Path | None:
     if path is None:
         return None
     check_folder(path)
-    require_matplotlib()
+    _require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     _check_suffix(path, list(FigureCanvasAgg.get_supported_filetypes()))
+    return path
+
+
+def check_page(path: Path) -> Path:
+    """Return the path of a page with figures if it can be written."""
+    check_folder(path)
+    _require_matplotlib()
+    _check_suffix(path, ["html"])
     return path
 
 
@@ -96,7 +104,7 @@ def check_animation(path: Path | None) -> Path | None:
     if path is None:
         return None
     check_folder(path)
-    require_matplotlib()
+    _require_matplotlib()
     _check_suffix(path, ["gif", "mp4", "html"])
     if path.suffix.lower() == ".mp4":
         from matplotlib.animation import writers
@@ -176,6 +184,11 @@ def load_mechanism(path: str) -> Any:
         return load_mechanism(path)
 
 
+def by_name(names: Sequence[str], values: Any) -> dict[str, Any]:
+    """Return the rows of an array by their names, as a part of a JSON record."""
+    return dict(zip(names, values.tolist(), strict=True))
+
+
 def print_result(
     text: Any,
     record: Any,
@@ -249,7 +262,7 @@ def require_success(motion: Any) -> None:
         )
 
 
-def require_matplotlib() -> None:
+def _require_matplotlib() -> None:
     """Import matplotlib and select a backend that needs no display."""
     try:
         import matplotlib

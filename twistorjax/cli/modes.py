@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from .common import (
+    by_name,
     check_animation,
     JsonOption,
     load_mechanism,
@@ -47,12 +48,9 @@ def modes(
     count = len(found.frequencies)
     if animate is not None and mode > count:
         raise UsageError(f"--mode is {mode}, but there are only {count} modes.")
-    names = [str(name) for name in found.names]
     record = {
         "frequencies_Hz": found.frequencies.tolist(),
-        "shapes": [
-            dict(zip(names, shape, strict=True)) for shape in found.shapes.tolist()
-        ],
+        "shapes": [by_name(found.names, shape) for shape in found.shapes],
     }
     print_result(found, record, as_json)
     if animate is not None:

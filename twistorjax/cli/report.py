@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from html import escape
 from io import StringIO
 from pathlib import Path
@@ -10,13 +11,11 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from .common import (
-    check_folder,
+    check_page,
     load_mechanism,
     MechanismFile,
     prepare_jax,
     reporting_errors,
-    require_matplotlib,
-    UsageError,
 )
 from .solve import DriveOption, inputs, LoadOption
 
@@ -50,7 +49,7 @@ class Section(NamedTuple):
 def report(
     mechanism: MechanismFile,
     out: Annotated[
-        Path, typer.Option(help="The page: an .html file.", callback=check_folder)
+        Path, typer.Option(help="The page: an .html file.", callback=check_page)
     ] = Path("report.html"),
     load: LoadOption = None,
     drive: DriveOption = None,
@@ -63,9 +62,6 @@ def report(
 
     Example: twistorjax report guide.json --load table:5,0 --out guide.html
     """
-    if out.suffix.lower() != ".html":
-        raise UsageError(f"--out is {out}, but must end with .html.")
-    require_matplotlib()
     prepare_jax()
     model = load_mechanism(mechanism)
     sections = _sections(model, *inputs(load, drive))
@@ -106,18 +102,19 @@ def _sections(model: Any, loads: list, drives: list) -> list[Section]:
     def stiffness() -> str:
         return "\n\n".join(str(port_compliance(model, name)) for name in free)
 
-    def vibrations_out_of_plane() -> Any:
-        return out_of_plane(model).vibrations()
+    @cache
+    def support() -> Any:
+        return out_of_plane(model)
 
     sections = [
         Section("Mechanism", lambda: model, draw),
         Section("Constraints", lambda: constraint_analysis(model)),
         Section("Stiffness in the plane", stiffness),
-        Section("Stiffness out of the plane", lambda: _support(model, free)),
+        Section("Stiffness out of the plane", lambda: _support(support(), free)),
         Section("Vibrations in the plane", lambda: vibrations(model)),
         Section(
             "Vibrations out of the plane",
-            vibrations_out_of_plane,
+            lambda: support().vibrations(),
             lambda found: draw_out_of_plane(model, found),
         ),
     ]
@@ -132,13 +129,10 @@ def _sections(model: Any, loads: list, drives: list) -> list[Section]:
     return sections
 
 
-def _support(model: Any, free: list[str]) -> str:
+def _support(support: Any, free: list[str]) -> str:
     """Return the stiffness of bodies out of the plane, if they may tilt, as a table."""
     import numpy as np
 
-    from ..solve.out_of_plane import out_of_plane
-
-    support = out_of_plane(model)
     width = max(map(len, [*free, "body"]))
     heads = "along z (N/m)", "about 1 (N m/rad)", "about 2 (N m/rad)"
     lines = ["  ".join([f"{'body':<{width}}", *(f"{head:>17}" for head in heads)])]

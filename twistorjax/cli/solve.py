@@ -5,6 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from .common import (
+    by_name,
     JsonOption,
     load_mechanism,
     MechanismFile,
@@ -52,13 +53,13 @@ def solve(
     with reporting_errors():
         solution = equilibrium(model, loads=loads, drives=drives)
     record: dict[str, Any] = {
-        "displacements": _by_name(solution.names, solution.displacements),
-        "reactions": _by_name(solution.names, solution.reactions),
+        "displacements": by_name(solution.names, solution.displacements),
+        "reactions": by_name(solution.names, solution.reactions),
         "energy_J": float(solution.energy),
     }
     if solution.stresses is not None:
         largest = solution.stresses.largest
-        record["stresses_Pa"] = _by_name(solution.stresses.names, largest)
+        record["stresses_Pa"] = by_name(solution.stresses.names, largest)
     print_result(
         solution, record, as_json, plot=plot,
         draw=lambda: draw(model, solution, loads=loads),
@@ -72,10 +73,6 @@ def inputs(load: list[str] | None, drive: list[str] | None) -> tuple[list, list]
     with reporting_errors("--drive: "):
         drives = [_drive(text) for text in drive or ()]
     return loads, drives
-
-
-def _by_name(names: tuple[str, ...], values: Any) -> dict[str, Any]:
-    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _load(text: str) -> Any:
@@ -95,11 +92,12 @@ def _load(text: str) -> Any:
 def _drive(text: str) -> Any:
     """Read BODY:COORDINATE=VALUE,COORDINATE=VALUE."""
     from ..mechanism.loads import Drive
+    from ..mechanism.mechanism import COORDINATES
 
     body, _, values = text.rpartition(":")
     pairs = [value.partition("=") for value in values.split(",")]
     names = [name for name, _, _ in pairs]
-    known = set(names) <= {"angle", "x", "y"} and len(set(names)) == len(names)
+    known = set(names) <= set(COORDINATES) and len(set(names)) == len(names)
     if not body or not known:
         raise UsageError(
             f"--drive is {text!r}, but must be BODY:x=1e-3, with each of angle (rad), x, "

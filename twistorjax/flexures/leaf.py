@@ -10,6 +10,7 @@ from ..energies.mixed import MixedEnergy
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..mechanism.material import Material
+from .beams.beam import outline_along
 from .beams.stress_models import BeamColumnStress, SectionStress
 from .limits import require_slender, SHEAR_FACTOR, Theory
 
@@ -265,7 +266,6 @@ def leaf_outline(
     Returns:
         The corners of the outline; m.
     """
-    xp, (length, thickness) = on_host(length, thickness)
-    x = np.linspace(-0.5, 0.5, points) * length
-    y = np.full(points, 0.5) * thickness
-    return as_float(xp.concatenate([xp.stack([x, y], 1), xp.stack([x, -y], 1)[::-1]]))
+    _, (length, thickness) = on_host(length, thickness)
+    position = np.linspace(-0.5, 0.5, points) * length
+    return outline_along(position, np.ones(points) * thickness)

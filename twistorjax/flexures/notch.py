@@ -16,6 +16,7 @@ from .._utils.validation import (
 from ..energies.quadratic import Quadratic
 from ..energies.strains import Coordinates
 from ..mechanism.material import Material
+from .beams.beam import outline_along
 from .beams.stress_models import SectionStress
 from .contours.contour import arc_integrals, Contour
 from .contours.notches import EllipticalNotch
@@ -188,7 +189,7 @@ def notch_outline(
         y = xp.minimum(y, limit / 2)
         end = xp.reshape(hole / 2, (1,))
         x, y = xp.concatenate([-end, x, end]), xp.concatenate([y[:1], y, y[-1:]])
-    return as_float(xp.concatenate([xp.stack([x, y], 1), xp.stack([x, -y], 1)[::-1]]))
+    return outline_along(x, 2 * y)
 
 
 # The three formulas take r = web / hole. They return the rotational stiffness over

@@ -8,7 +8,7 @@ class. The values are checked by the classes.
 
 import json
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import fields, MISSING
+from dataclasses import fields
 from functools import cache
 from inspect import Parameter, signature
 from types import NoneType, UnionType
@@ -239,6 +239,8 @@ def from_record(annotation: Any, entry: Entry) -> Any:
 
 def _options(annotation: Any) -> list[Any]:
     """List the types of a union."""
+    if annotation is NumberLike:
+        return _options(Scalar)
     if isinstance(annotation, TypeAliasType):
         return _options(annotation.__value__)
     if get_origin(annotation) in (Union, UnionType):
@@ -328,25 +330,23 @@ def _named_material(entry: Entry) -> Material:
 def _layout(create: Callable[..., Any]) -> dict[str, tuple[Any, bool]]:
     """Return the type of each field of an object, and whether it is required.
 
-    They are those of the fields of a class, or of the parameters of a function.
+    They are those of the fields of a class, or of the parameters of a function. Those of
+    a material are its arguments, because its strengths are one field.
     """
-    types, parameters = get_type_hints(create), signature(create).parameters
-    is_required = {
-        name: parameter.default is Parameter.empty
-        for name, parameter in parameters.items()
-    }
-    if isinstance(create, type):
-        return {
-            field.name: (
-                types[field.name],
-                field.default is MISSING and is_required.get(field.name, True),
-            )
-            for field in fields(create)
-            if field.name not in _NOT_IN_FILES
-        }
+    parameters = signature(create).parameters
+    if create is Material:
+        types, names = get_type_hints(Material.__init__), list(parameters)
+    elif isinstance(create, type):
+        types = get_type_hints(create)
+        names = [f.name for f in fields(create) if f.name not in _NOT_IN_FILES]
+    else:
+        types, names = get_type_hints(create), list(parameters)
     return {
-        name: (Scalar if types[name] is NumberLike else types[name], is_required[name])
-        for name in parameters
+        name: (
+            types[name],
+            name not in parameters or parameters[name].default is Parameter.empty,
+        )
+        for name in names
     }
 
 
@@ -365,21 +365,6 @@ def _create_mechanism(
     return Mechanism(bodies, shared, fixed)
 
 
-def _create_material(
-    modulus: Scalar,
-    poisson: Scalar,
-    density: Scalar | None = None,
-    expansion: Scalar | None = None,
-    strength: Scalar | None = None,
-    ultimate_strength: Scalar | None = None,
-    endurance_limit: Scalar | None = None,
-) -> Material:
-    return Material(
-        modulus, poisson, density, expansion, strength, ultimate_strength,
-        endurance_limit,
-    )  # fmt: skip
-
-
 def _create_expansion(
     coefficient: Scalar,
     length: Scalar | None = None,
@@ -396,6 +381,5 @@ def _create_expansion(
 _CREATE: dict[type, Callable[..., Any]] = {
     AbstractOutline: SubMechanism,
     Expansion: _create_expansion,
-    Material: _create_material,
     Mechanism: _create_mechanism,
 }

@@ -71,6 +71,7 @@ def draw_out_of_plane(
         >>> modes = tj.out_of_plane(stage).vibrations()
         >>> axes = tj.plotting.draw_out_of_plane(stage, modes)
     """
+    mechanism = with_flexure_outlines(mechanism)
     poses, displacements, title = drawn_displacements(mechanism, found, mode)
     size = mechanism_size(mechanism)
     flat, heights = shapes_and_heights(mechanism, poses, displacements)
@@ -163,7 +164,7 @@ def shapes_and_heights(
 
     The displacements of each body are z and the rotations about x and y; m, rad, rad.
     """
-    drawn, heights = shapes(with_flexure_outlines(mechanism), poses), []
+    drawn, heights = shapes(mechanism, poses), []
     for shape in drawn:
         kind, row = shape.part
         if kind == "body":

@@ -18,7 +18,7 @@ from typing_extensions import TypeAliasType
 
 from ..._compile.traced_function import traced
 from ..._utils.host import as_float, on_host, tree_on_host
-from ..._utils.types import NumberLike, Numbers, Scalar
+from ..._utils.types import Corners, NumberLike, Numbers, Scalar
 from ..._utils.validation import (
     require_choice,
     require_finite,
@@ -169,11 +169,6 @@ class AbstractProfile(eqx.Module):
         xp, (profile, at) = tree_on_host((self, position))
         return as_float(profile.values(xp, at))
 
-    @property
-    def breaks(self) -> Float[Array, "4"] | None:
-        """Positions along the axis between which the value is smooth; m."""
-        return None
-
 
 class Uniform(AbstractProfile):
     """A value that is the same at any position."""
@@ -185,8 +180,31 @@ class Uniform(AbstractProfile):
 
 
 def breaks_of(function: Callable[[Scalar], Scalar]) -> Float[Array, "4"] | None:
-    """Return the positions between which a function is smooth, if they are known; m."""
+    """Return the positions (m) between which a function is smooth.
+
+    They are known of functions that have the property `breaks`.
+    """
     return getattr(function, "breaks", None)
+
+
+def outline_along(
+    position: Any, thickness: Any, curvature: Array | None = None
+) -> Corners:
+    """Return the corners of a flexure by values along its axis; m, m, 1/m."""
+    xp, (x, thickness) = on_host(position, thickness)
+    angle, axis = 0 * x, xp.stack([x, 0 * x], axis=1)
+    if curvature is not None:
+        angle = _integrated(np.asarray(curvature), x)
+        axis = _integrated(np.stack([np.cos(angle), np.sin(angle)], axis=1), x[:, None])
+    half = thickness[:, None] / 2 * xp.stack([-xp.sin(angle), xp.cos(angle)], axis=1)
+    return as_float(xp.concatenate([axis + half, (axis - half)[::-1]]))
+
+
+def _integrated(values: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Integrate values at positions by trapezoids, from the middle one."""
+    steps = np.diff(position, axis=0) * (values[1:] + values[:-1]) / 2
+    integral = np.concatenate([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
+    return integral - integral[len(integral) // 2]
 
 
 def values_along(

@@ -3,7 +3,6 @@
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 
 from ..._compile.compilation import fast_compile
 from ..._utils.types import Matrix
@@ -78,10 +77,8 @@ def out_of_plane_stiffness(
 @fast_compile
 def _stiffness(model: BeamStress, solution: BeamSolution, warping: bool) -> Matrix:
     """Compute the stiffness in frame b of the cross-sections of a stress model."""
-    angle, x, y = solution.pose
     displacement = Displacement.from_pose(solution.pose)
-    middle = jnp.stack([angle / 2, x / 2, y / 2])
-    to_second = se2.between(middle, solution.pose)
+    to_second = se2.between(solution.pose / 2, solution.pose)
     wrench = se2.transform_wrench(to_second, solution.wrench)
     sections = model.sections(displacement, (wrench[0], wrench[1], wrench[2]))
     poses = jax.vmap(partial(seen_from, to_second))(sections.poses)

@@ -28,7 +28,7 @@ from ...energies.strains import strain
 from ...energies.stress_model import AbstractStressModel, MidWrench, Strengths
 from ...geometry import se2
 from ...geometry.twistors import Displacement
-from .beam import Beam, breaks_of, Law, values_along
+from .beam import Beam, breaks_of, Law, outline_along, values_along
 from .cross_section import CrossSection, fiber_strains, section_rates, shear_ratio
 
 
@@ -153,15 +153,16 @@ class SectionStress(AbstractStressModel):
             angle = np.linspace(-np.pi / 2, np.pi / 2, 61)
             radius = thickness / (2 * ratio)
             surface = 2 * radius * (1 - np.cos(angle))
-            return _outline(radius * np.sin(angle), thickness + surface)
-        position, heights = arm * np.linspace(-1.0, 1.0, 24), np.full(24, thickness)
-        if self.reinforced is not None:
-            length, thick = np.asarray(self.reinforced)
-            position = np.concatenate([np.linspace(-arm, -length / 2, 12)] * 2)
-            position[12:] *= -1
-            position = np.insert(np.sort(position), 12, np.array([-length, length]) / 2)
-            heights = np.insert(heights, 12, np.array([thick, thick]))
-        return _outline(position, heights)
+            return outline_along(radius * np.sin(angle), thickness + surface)
+        if self.reinforced is None:
+            return outline_along(np.linspace(-arm, arm, 24), np.full(24, thickness))
+        length, thick = np.asarray(self.reinforced)
+        inner = np.array([-length, length]) / 2
+        outer = np.linspace(length / 2, arm, 12)
+        position = np.concatenate([-outer[::-1], inner, outer])
+        return outline_along(
+            position, np.repeat([thickness, thick, thickness], [12, 2, 12])
+        )
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "SectionStress":
         return multiply_fields(
@@ -276,7 +277,7 @@ class BeamColumnStress(AbstractStressModel):
 
     def outline(self) -> Corners:
         position = np.asarray(self.length) * np.linspace(-0.5, 0.5, 24)
-        return _outline(position, np.full(24, self.thickness))
+        return outline_along(position, np.full(24, self.thickness))
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamColumnStress":
         return multiply_fields(self, scale, length=1, thickness=1, width=1)
@@ -369,8 +370,7 @@ class BeamStress(AbstractStressModel):
         assert self.shear_modulus is not None
         _, _, poses = self._deformed(displacement, wrench)
         poses = poses * jnp.stack([jnp.ones(()), self.length, self.length])[None]
-        angle, x, y = displacement.pose()
-        poses = seen_from(jnp.stack([angle / 2, x / 2, y / 2]), poses)
+        poses = seen_from(displacement.pose() / 2, poses)
         ends = _ends(self.length, self.breaks)
         count = len(ends) - 1
         of_parts = _INTERVALS // count * np.arange(count)[:, None]
@@ -418,7 +418,7 @@ class BeamStress(AbstractStressModel):
     def outline(self) -> Corners:
         length = np.asarray(self.length)
         position = length * np.asarray(_along(_ends(self.length, self.breaks))[0])
-        return _outline(position, np.asarray(self.thickness), self.curvature)
+        return outline_along(position, np.asarray(self.thickness), self.curvature)
 
     def dilated(self, scale: Float[Array, "*batch"]) -> "BeamStress":
         return multiply_fields(
@@ -466,26 +466,6 @@ class BeamStress(AbstractStressModel):
             return jnp.array([0.0, -0.5, 0.0])
         poses = self._integrate(sections, jnp.zeros(3), jnp.zeros(3))
         return se2.inverse(poses[len(poses) // 2])
-
-
-def _outline(
-    position: np.ndarray, thickness: np.ndarray, curvature: Array | None = None
-) -> Corners:
-    """Return the corners of a flexure by values along its axis; m, m, 1/m."""
-    angle, axis = np.zeros_like(position), np.stack([position, 0 * position], axis=1)
-    if curvature is not None:
-        angle = _integrated(np.asarray(curvature), position)
-        directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        axis = _integrated(directions, position[:, None])
-    half = thickness[:, None] / 2 * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    return as_float(np.concatenate([axis + half, (axis - half)[::-1]]))
-
-
-def _integrated(values: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Integrate values at positions by trapezoids, from the middle one."""
-    steps = np.diff(position, axis=0) * (values[1:] + values[:-1]) / 2
-    integral = np.concatenate([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
-    return integral - integral[len(integral) // 2]
 
 
 def _ends(length: Any, breaks: Any) -> Any:

@@ -50,6 +50,27 @@ def test_copies_are_named_by_the_index_of_their_cell():
     assert_close(right.at, [0, 5.5 * PITCH, -offset])
 
 
+def test_a_lattice_counts_its_parts_and_may_lack_some_of_them():
+    def cell(stiffness):
+        weak, strong = (row_of_masses(k * stiffness).hinges[0] for k in (1.0, 2.0))
+        strong = tj.Hinge("strong", weak.first, weak.second, strong.energy, weak.at)
+        return tj.lattices.UnitCell([tj.Body("mass")], [weak, strong], [(PITCH, 0)])
+
+    stiffness = np.array([100.0, 300.0, 50.0, 80.0])
+    row = tj.lattices.repeat(cell, 4, stiffness)
+    assert (len(row.bodies), len(row.hinges)) == (4, 6)
+    assert [body.name for body in row.bodies] == [f"mass[{k}]" for k in range(4)]
+    missing = row.hinges[4]  # the strong spring from the second mass to the third one
+    assert (missing.name, missing.second) == ("strong[1]", "mass[2]")
+    assert_close(missing.at, [0, 1.5 * PITCH, 0])
+    assert_close(missing.energy.stiffness[1, 1], 600.0)
+    others = [hinge for hinge in row.hinges if hinge.name != "strong[1]"]
+    mechanism = tj.Mechanism(row.bodies, others, fixed=["mass[0]"])
+    load = tj.Load("mass[3]", force=(0.3, 0.0))
+    end = tj.equilibrium(mechanism, loads=[load]).displacement("mass[3]")
+    assert_close(end[1], 0.3 * (1 / 300 + 1 / 300 + 1 / 150))
+
+
 @pytest.mark.parametrize("traced", [False, True])
 def test_springs_of_a_field_of_stiffnesses_act_in_series(traced):
     stiffness, force = np.array([100.0, 300.0, 50.0, 80.0]), 0.3

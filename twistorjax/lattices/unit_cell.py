@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._utils.host import as_float, concrete, is_traced, on_host, take_rows
+from .._utils.host import as_float, concrete, is_traced, on_host
 from .._utils.stacking import Copies, stack
 from .._utils.types import GradientLike, Pose, ReducedVectorsLike, VectorsLike
 from .._utils.validation import (
@@ -23,7 +23,7 @@ from .._utils.validation import (
     require_kind,
 )
 from ..mechanism.body import Body
-from ..mechanism.copies import PartCopies
+from ..mechanism.copies import PartCopies, PartCopy
 from ..mechanism.hinge import Hinge
 from ..mechanism.mechanism import Mechanism
 from .periodicity import Periodicity
@@ -271,13 +271,14 @@ class Lattice:
     Args:
         bodies: Copies of the bodies of the cell, with names such as "square[3, 0]".
         hinges: Copies of the hinges, with names such as "joint[3, 0]". Hinges whose
-            second body is not in the lattice are left out.
+            second body is not in the lattice are left out. Copies may be left out of the
+            arguments of a `Mechanism`, as defects of the lattice.
         ports: Places of the hinges that are left out, for each side: "left" and "right"
             in the first direction, "bottom" and "top" in the second.
     """
 
-    bodies: tuple[PartCopies[Body], ...]
-    hinges: tuple[PartCopies[Hinge], ...]
+    bodies: tuple[PartCopy[Body], ...]
+    hinges: tuple[PartCopy[Hinge], ...]
     ports: dict[str, tuple[Port, ...]]
 
     def border(self, side: Literal["left", "right", "bottom", "top"]) -> tuple[str, ...]:
@@ -302,8 +303,7 @@ class Lattice:
         return tuple(dict.fromkeys(port.body for port in self.ports[side]))
 
     def __repr__(self) -> str:
-        bodies, hinges = (sum(map(len, parts)) for parts in (self.bodies, self.hinges))
-        return f"Lattice of {bodies} bodies and {hinges} hinges"
+        return f"Lattice of {len(self.bodies)} bodies and {len(self.hinges)} hinges"
 
 
 def repeat(
@@ -373,7 +373,7 @@ def repeat(
     bodies = []
     for copies in cells.bodies:
         placed = _place(copies, "pose", shifts)
-        bodies.append(_named(placed, _indexed(copies.value.name, indices)))
+        bodies += _named(placed, _indexed(copies.value.name, indices))
     hinges = []
     # Those of each side, with their places along it
     ports: dict[str, list[tuple[tuple[int, ...], Port]]] = {
@@ -384,12 +384,10 @@ def repeat(
         second, offset = first.second_of(hinge)
         others = indices + np.array(offset)
         rows = np.flatnonzero(np.all((others >= 0) & (others < counts), axis=1))
-        names, firsts = (
-            _indexed(name, indices[rows]) for name in (hinge.name, hinge.first)
-        )
-        ends = tuple(zip(firsts, _indexed(second, others[rows]), strict=True))
-        if len(rows):
-            hinges.append(_named(_take(placed, rows), names, ends))
+        names, firsts = (_indexed(name, indices) for name in (hinge.name, hinge.first))
+        ends = tuple(zip(firsts, _indexed(second, others), strict=True))
+        of_cells = _named(placed, names, ends)
+        hinges += [of_cells[row] for row in rows]
         xp, (at, vectors) = on_host(placed.value.at, first.vectors)
         step = xp.concatenate([np.zeros(1), np.array(offset, float) @ vectors])
         before = at - step[None]
@@ -555,20 +553,11 @@ def _place(copies: Copies, field: str, shifts: Float[Any, "cells 3"]) -> Copies:
     return Copies(part, copies.number, jax.tree.leaves(varies))
 
 
-def _take(copies: Copies, rows: Int[np.ndarray, " rows"]) -> Copies:
-    """Select some of the copies."""
-    leaves, structure = jax.tree.flatten(copies.value)
-    leaves = [
-        take_rows(leaf, rows) if varies else leaf
-        for leaf, varies in zip(leaves, copies.flags, strict=True)
-    ]
-    return copies._replace(value=jax.tree.unflatten(structure, leaves), number=len(rows))
-
-
 def _named(
     copies: Copies, names: tuple[str, ...], ends: tuple[tuple[str, str], ...] = ()
-) -> PartCopies[Any]:
-    return PartCopies(copies.value, names, ends, tuple(copies.flags))
+) -> list[PartCopy[Any]]:
+    parts = PartCopies(copies.value, names, ends, tuple(copies.flags))
+    return [PartCopy(name, parts, row) for row, name in enumerate(names)]
 
 
 def _indexed(name: str, indices: Int[np.ndarray, "cells directions"]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import TypeAliasType
 
-from .._utils.host import as_float, on_host
+from .._utils.host import as_float, on_host, take_rows
 from .._utils.stacking import Copies, PerPart
 from .._utils.types import Poses
 from .._utils.validation import (
@@ -27,9 +27,9 @@ from .hinge import check_energy, frame_and_misfit, Hinge
 Part = TypeVar("Part", Body, Hinge)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PartCopies(Generic[Part]):
-    """Copies of a body or of a hinge, which `lattices.repeat` creates.
+    """Copies of a body or of a hinge.
 
     Args:
         part: The body or hinge; arrays that vary have a first axis of copies.
@@ -53,13 +53,33 @@ class PartCopies(Generic[Part]):
         return len(self.names)
 
     def __getitem__(self, copy: int) -> Part:
-        return PerPart.of([self._whole()])[copy]
+        part = PerPart.of([self._whole()])[copy]
+        named = {"name": self.names[copy]}
+        if self.ends:
+            named["first"], named["second"] = self.ends[copy]
+        for field, text in named.items():  # of a new object that nobody else has
+            object.__setattr__(part, field, text)
+        return part
 
     def __iter__(self) -> Iterator[Part]:
-        return iter(PerPart.of([self._whole()]))
+        return (self[copy] for copy in range(len(self)))
 
-    def __repr__(self) -> str:
-        return f"{len(self)} copies of the {type(self.part).__name__} {self.part.name!r}"
+    def take(self, rows: Sequence[int]) -> "PartCopies[Part]":
+        """Select some of the copies."""
+        if list(rows) == list(range(len(self))):
+            return self
+        at = np.array(rows)
+        leaves, structure = jax.tree.flatten(self.part)
+        leaves = [
+            take_rows(leaf, at) if varies else leaf
+            for leaf, varies in zip(leaves, self.varies, strict=True)
+        ]
+        return PartCopies(
+            jax.tree.unflatten(structure, leaves),
+            tuple(self.names[row] for row in rows),
+            tuple(self.ends[row] for row in rows if self.ends),
+            self.varies,
+        )
 
     def values(self, *fields: str) -> Copies:
         """Return a field of all copies, or several fields."""
@@ -79,22 +99,50 @@ class PartCopies(Generic[Part]):
         return Copies(self.part, len(self), self.varies)
 
 
-# A body or a hinge, or several copies of one
-BodyLike = TypeAliasType("BodyLike", Body | PartCopies[Body])
-HingeLike = TypeAliasType("HingeLike", Hinge | PartCopies[Hinge])
+@dataclass(frozen=True, repr=False)
+class PartCopy(Generic[Part]):
+    """A body or a hinge of a lattice, with the fields of a `Body` or a `Hinge`.
+
+    Neighboring copies of one part are joined again in a `Mechanism`, which is faster than
+    if each was a part of its own.
+
+    Args:
+        name: Name of the part.
+    """
+
+    name: str
+    _copies: PartCopies[Part]
+    _row: int
+
+    def __getattr__(self, field: str) -> Any:
+        return getattr(self._copies[self._row], field)
+
+    def __repr__(self) -> str:
+        return repr(self._copies[self._row])
+
+
+# A body or a hinge, which may be a copy
+BodyLike = TypeAliasType("BodyLike", Body | PartCopy[Body])
+HingeLike = TypeAliasType("HingeLike", Hinge | PartCopy[Hinge])
 
 
 def copies_of(name: str, parts: Any, kind: type[Part]) -> list[PartCopies[Part]]:
     """Check the bodies or hinges of a user; `name` is that of the argument."""
-    if isinstance(parts, kind | PartCopies):
+    if isinstance(parts, kind | PartCopy):
         raise ValueError(f"`{name}` is one {kind.__name__}: put it in a list, [...].")
-    checked = []
+    runs: list[tuple[PartCopies, list[int]]] = []
     for index, part in enumerate(parts):
-        if not isinstance(part, PartCopies) or not isinstance(part.part, kind):
-            part = PartCopies.of_one(require_instance(f"{name}[{index}]", part, kind))
-        noun = kind.__name__.lower()
-        require_same_precision(f"The {noun} {part.names[0]!r}", part.part)
-        checked.append(part)
+        if not isinstance(part, PartCopy) or not isinstance(part._copies.part, kind):
+            one = PartCopies.of_one(require_instance(f"{name}[{index}]", part, kind))
+            runs.append((one, [0]))
+        elif runs and runs[-1][0] is part._copies:
+            runs[-1][1].append(part._row)
+        else:
+            runs.append((part._copies, [part._row]))
+    checked = [copies.take(rows) for copies, rows in runs]
+    noun = kind.__name__.lower()
+    for copies in checked:
+        require_same_precision(f"The {noun} {copies.names[0]!r}", copies.part)
     return checked
 
 

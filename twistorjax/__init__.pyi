@@ -34,7 +34,7 @@ from .mechanism import (
     Temperature as Temperature,
     weights as weights,
 )
-from .plotting import animate as animate, draw as draw
+from .plotting import animate as animate, draw as draw, explore as explore
 from .solve import (
     Bistability as Bistability,
     bistability as bistability,

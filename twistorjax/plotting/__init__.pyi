@@ -1,5 +1,6 @@
 from .animation import animate as animate
 from .drawing import draw as draw
+from .explore import explore as explore, Explorer as Explorer
 from .hinge_plots import draw_energy as draw_energy
 from .oblique import draw_out_of_plane as draw_out_of_plane
 from .optimum_plots import draw_optimum as draw_optimum

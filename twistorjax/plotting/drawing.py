@@ -61,7 +61,7 @@ Colors = TypeAliasType("Colors", Literal["energy", "stress", "angle"] | NamedNum
 
 Part = tuple[str, int]  # "body" or "hinge", and its index in the mechanism
 _MOST_NAMES = 40  # of bodies that are labeled by default
-_COLORS = {**FILLS, "line": "#7f9fba", "spring": ORANGE}
+COLORS = {**FILLS, "line": "#7f9fba", "spring": ORANGE}
 
 
 def draw(
@@ -243,7 +243,7 @@ def paint(
         collections, _STYLES.items(), ARE_CLOSED, strict=True
     ):
         group = [shape for shape in drawn if shape.kind in kinds]
-        colors: Any = [fills.get(shape.part) or _COLORS[shape.kind] for shape in group]
+        colors: Any = [fills.get(shape.part) or COLORS[shape.kind] for shape in group]
         if closed:
             collection.set_facecolor(colors)
         if "edgecolors" not in style:

@@ -470,7 +470,7 @@ def test_contours_show_the_energy_within_its_validity_range():
 
 def test_outputs_of_a_sweep_are_drawn_over_one_or_two_parameters():
     """A line over one parameter, colors over two; other outputs are rejected."""
-    from twistorjax.plotting.charts import chart
+    from twistorjax.plotting import draw_sweep
 
     def study(design):
         energy = tj.solve.Column(design["a"] * design["b"], unit="J")
@@ -478,16 +478,20 @@ def test_outputs_of_a_sweep_are_drawn_over_one_or_two_parameters():
 
     grid = tj.Grid({"a": np.linspace(1e-3, 2e-3, 5), "b": np.linspace(1.0, 3.0, 4)})
     table = tj.sweep(study, grid, units={"a": "m"})
-    (panel, bar) = chart(table, ["energy"]).axes
+    (panel, bar) = draw_sweep(table, ["energy"]).axes
     assert panel.get_ylabel() == "a (mm)" and bar.get_ylabel() == "energy (mJ)"
-    line = chart(table.isel(b=0), ["energy"]).axes[0].lines[0]
+    (contours,) = (c for c in panel.collections if isinstance(c, ContourSet))
+    for level, path in zip(contours.levels, contours.get_paths(), strict=True):
+        b, a = np.asarray(path.vertices).T  # linear between the designs of the grid
+        np.testing.assert_allclose(a * b, level, rtol=0.05)
+    line = draw_sweep(table.isel(b=0), ["energy"]).axes[0].lines[0]
     np.testing.assert_allclose(np.asarray(line.get_xdata()), np.linspace(1.0, 2.0, 5))
     np.testing.assert_allclose(np.asarray(line.get_ydata()), np.linspace(1.0, 2.0, 5))
     rows = tj.sweep(study, {"a": np.linspace(1, 2, 6), "b": np.ones(6)})
     with pytest.raises(ValueError, match="differ in 2 parameters"):
-        chart(rows, ["energy"])
+        draw_sweep(rows, ["energy"])
     with pytest.raises(ValueError, match="'row' cannot be drawn"):
-        chart(table, ["row"])
+        draw_sweep(table, ["row"])
 
 
 def test_the_outline_of_a_notch_is_no_higher_than_its_bodies():
@@ -499,3 +503,66 @@ def test_the_outline_of_a_notch_is_no_higher_than_its_bodies():
     to_center = np.hypot(cut[:, 0], 4.25e-3 - np.abs(cut[:, 1]))
     np.testing.assert_allclose(to_center[on_arc], 4e-3)
     assert np.sum(on_arc) == 2 * 61
+
+
+def oscillator(stiffness=800.0, damping=None):
+    """A mass of 2 kg on a spring, which resonates at 20 rad/s by default."""
+    spring = tj.Quadratic(jnp.eye(3)) * stiffness
+    mass = tj.Body("mass", mass=2.0, inertia=1e-3)
+    hinge = tj.Hinge("spring", "wall", "mass", spring, at=(0, 0, 0), damping=damping)
+    return tj.Mechanism([tj.Body("wall"), mass], [hinge], fixed=["wall"])
+
+
+@pytest.mark.parametrize("rate", [0.0, 4.0])
+def test_the_phase_of_an_oscillator_lags_by_half_a_turn_above_its_resonance(rate):
+    damped = oscillator(damping=rate / 800.0 if rate else None)  # a time; s
+    rates = np.array([5.0, 19.0, 21.0, 60.0])
+    push = tj.Load("mass", force=(3.0, 0.0))
+    response = tj.frequency_response(damped, rates / (2 * np.pi), loads=[push])
+    size, phase = tj.plotting.draw_frequency_response(response, "mass", "x").axes
+    amplitude = 3.0 / (800.0 - 2.0 * rates**2 + 1j * rate * rates)
+    assert size.get_ylabel() == "x of mass (mm)"
+    assert_close(size.lines[0].get_ydata(), 1e3 * np.abs(amplitude))
+    lag = -np.degrees(np.arctan2(rate * rates, 800.0 - 2.0 * rates**2))
+    assert_close(phase.lines[0].get_ydata(), lag)
+
+
+def test_a_fit_is_drawn_with_its_readings_and_their_differences():
+    sensor = tj.identification.BodySensor("mass", "x", standard_deviation=1e-5)
+    pulls = [[tj.Load("mass", force=(force, 0.0))] for force in (1.0, 2.0, 3.0)]
+    test = tj.identification.StaticTest(pulls, [sensor])
+    readings = np.array([1.01e-3, np.nan, 2.99e-3])
+    found = tj.identify(
+        lambda parameters: oscillator(parameters["stiffness"]),
+        {"stiffness": tj.Parameter(900.0, "N/m", lower=0)},
+        [test.measurement(readings[:, None])],
+    )
+    above, below = tj.plotting.draw_fit(found).axes
+    # least squares of readings that are proportional to the force
+    slope = (1.01 * 1 + 2.99 * 3) / (1 + 9)
+    predicted = next(line for line in above.lines if line.get_label() == "predicted")
+    np.testing.assert_allclose(
+        np.asarray(predicted.get_ydata()), slope * np.array([1, np.nan, 3])
+    )
+    differences = (slope * np.array([1, 3]) - [1.01, 2.99]) / 1e-2
+    np.testing.assert_allclose(
+        np.asarray(below.lines[0].get_ydata()), differences, atol=1e-5
+    )
+    assert above.get_ylabel() == "mass.x (mm)"
+
+
+def test_hinges_of_infinite_life_are_below_the_line_of_goodman():
+    steel = tj.Material(
+        modulus=210e9, poisson=0.3, ultimate_strength=800e6, endurance_limit=300e6
+    )
+    leaf = tj.flexures.leaf(steel, length=50e-3, thickness=0.5e-3, width=10e-3)
+    hinges = [tj.Hinge(n, "wall", n + " end", leaf, at=(0, 0, 0)) for n in ("a", "b")]
+    bodies = [tj.Body("wall"), tj.Body("a end"), tj.Body("b end")]
+    mechanism = tj.Mechanism(bodies, hinges, fixed=["wall"])
+    moments = 0.1, 0.25  # N m: stresses 6 M / (w t^2) of 240 MPa and 600 MPa
+    loads = [tj.Load(f"{n} end", moment=m) for n, m in zip("ab", moments, strict=True)]
+    bent = tj.equilibrium(mechanism, loads=loads)
+    axes = tj.plotting.draw_fatigue(tj.fatigue(mechanism, [mechanism.reference, bent]))
+    points = {line.get_label(): np.ravel(line.get_xydata()) for line in axes.lines}
+    np.testing.assert_allclose(points["infinite life"], [120 / 800, 120 / 300], rtol=1e-6)
+    np.testing.assert_allclose(points["finite life"], [300 / 800, 300 / 300], rtol=1e-6)

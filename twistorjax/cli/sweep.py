@@ -215,10 +215,10 @@ def _report(
     text = _text(count, failed, summary)
 
     def draw() -> Any:
-        from ..plotting.charts import chart
+        from ..plotting.charts import draw_sweep
 
         constant = [name for name, values in ranges.items() if len(values) == 1]
-        return chart(table.squeeze(constant), outputs)
+        return draw_sweep(table.squeeze(constant), outputs)
 
     print_result(text, record, as_json, out=out, plot=plot, draw=draw)
     if sum(failed.values()) == count:

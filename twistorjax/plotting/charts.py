@@ -13,20 +13,37 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def chart(table: "xarray.Dataset", outputs: Sequence[str]) -> "Figure":
-    """Draw outputs of a sweep as lines over one parameter, or as colors over two.
+def draw_sweep(results: "xarray.Dataset", outputs: Sequence[str]) -> "Figure":
+    """Draw outputs of a sweep as lines over one parameter, or as contours over two.
 
-    The parameters are the axes of a grid, or the one parameter of `design`. Each output,
-    which must be one number for each design, has its own axes. Designs that failed are
-    left blank.
+    The parameters are the axes of a grid, or the one parameter of `design`. Designs that
+    failed are left blank.
+
+    Args:
+        results: Result of `sweep` or of `open_sweep`.
+        outputs: Names of outputs, each of which is one number for each design.
+
+    Returns:
+        The figure, which has axes for each output.
+
+    Raises:
+        ImportError: Matplotlib is not installed.
+        ValueError: An output is unknown, or has not one number for each design; or the
+            designs differ in more than two parameters.
+
+    Example:
+        >>> import twistorjax as tj
+        >>> grid = tj.Grid({"x": np.linspace(0, 1, 5), "y": np.linspace(0, 2, 6)})
+        >>> results = tj.sweep(lambda design: {"xy": design["x"] * design["y"]}, grid)
+        >>> figure = tj.plotting.draw_sweep(results, ["xy"])
     """
     for name in outputs:
-        dims = table[name].dims if name in table else ()
-        if not 1 <= len(dims) <= 2 or any(str(dim) not in _axes(table) for dim in dims):
+        dims = results[name].dims if name in results else ()
+        if not 1 <= len(dims) <= 2 or any(str(dim) not in _axes(results) for dim in dims):
             numbers = [
                 str(key)
-                for key, values in table.data_vars.items()
-                if 1 <= values.ndim <= 2 and {*map(str, values.dims)} <= _axes(table)
+                for key, values in results.data_vars.items()
+                if 1 <= values.ndim <= 2 and {*map(str, values.dims)} <= _axes(results)
             ]
             raise ValueError(
                 f"The output {name!r} cannot be drawn: it must be one number for each "
@@ -37,17 +54,17 @@ def chart(table: "xarray.Dataset", outputs: Sequence[str]) -> "Figure":
         1, len(outputs), size=(4.2 * len(outputs), 3.4), squeeze=False
     )
     for name, axes in zip(outputs, panels.flat, strict=True):
-        values = table[name]
+        values = results[name]
         label, factor = _label_and_factor(name, values)
         if values.ndim == 1:
-            parameter = _parameter(table, str(values.dims[0]))
+            parameter = _parameter(results, str(values.dims[0]))
             x_label, x_factor = _label_and_factor(str(parameter.name), parameter)
             axes.plot(x_factor * parameter, factor * values, color=DARK_BLUE)
             axes.set_xlabel(x_label)
             axes.set_ylabel(label)
             axes.grid(alpha=0.3)
             continue
-        x, y = (table[str(dim)] for dim in reversed(values.dims))
+        x, y = (results[str(dim)] for dim in reversed(values.dims))
         x_label, x_factor = _label_and_factor(str(x.name), x)
         y_label, y_factor = _label_and_factor(str(y.name), y)
         colors = axes.pcolormesh(
@@ -55,7 +72,13 @@ def chart(table: "xarray.Dataset", outputs: Sequence[str]) -> "Figure":
         )
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
-        axes.figure.colorbar(colors, ax=axes, label=label)
+        bar = axes.figure.colorbar(colors, ax=axes, label=label)
+        if min(values.shape) > 1 and np.ptp(values.values[np.isfinite(values)]) > 0:
+            lines = axes.contour(
+                x_factor * x, y_factor * y, factor * values,
+                levels=bar.get_ticks(), colors="white", linewidths=0.8,
+            )  # fmt: skip
+            axes.clabel(lines, fontsize="small")
     return figure
 
 

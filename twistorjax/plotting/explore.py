@@ -18,7 +18,7 @@ from .._utils.types import NumberLike
 from .._utils.validation import quote, require_float64, require_package
 from ..designs.parameters import Parameter
 from ..mechanism.mechanism import Mechanism
-from ..results.codes import result_names, RESULTS
+from ..results.codes import result_message, result_names
 from ..solve.equilibrium import equilibrium
 from ..solve.statics.solution import Equilibrium
 from .drawing import COLORS
@@ -261,7 +261,7 @@ class Explorer:
             numbers = [
                 x if succeeded and np.isfinite(x) else None for x in table[k].tolist()
             ]
-            reason = "" if succeeded else RESULTS[getattr(RESULTS, name)]
+            reason = "" if succeeded else result_message(name)
             states.append(State(parts, numbers, reason))
         return states
 

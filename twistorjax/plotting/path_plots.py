@@ -5,15 +5,13 @@ from typing import Literal, TYPE_CHECKING
 import numpy as np
 
 from .._utils.validation import require_choice
+from ..mechanism.mechanism import COORDINATES
 from ..solve.continuation.solution import Path
 from .figure_style import DARK_BLUE, GRAY, ORANGE, prefixed_unit, subplots
 
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-_COORDINATES = ("angle", "x", "y")
 
 
 def draw_path(
@@ -54,7 +52,7 @@ def draw_path(
             f"`path` is a batch of shape {path.load_factors.shape[:-1]}, but one path "
             "can be drawn: `jax.tree.map(lambda values: values[0], path)` is the first."
         )
-    column = _COORDINATES.index(require_choice("`coordinate`", coordinate, _COORDINATES))
+    column = COORDINATES.index(require_choice("`coordinate`", coordinate, COORDINATES))
     unit = "rad" if coordinate == "angle" else "m"
     displacement = np.asarray(path.displacement(body))[:, column]
     loads, stable = load * np.asarray(path.load_factors), np.asarray(path.stable)

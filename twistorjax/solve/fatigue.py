@@ -31,12 +31,16 @@ class Fatigue(Tabular):
         mean: Mean of the largest and the smallest stress; Pa.
         utilization: Ratio of the stress to that of infinite life, by the Goodman
             relation; above 1, the life is finite.
+        endurance_limit: Endurance limit of the material of each hinge; Pa.
+        ultimate_strength: Its ultimate strength; Pa.
         names: Names of the hinges.
     """
 
     amplitude: Float[Array, " hinges"]
     mean: Float[Array, " hinges"]
     utilization: Float[Array, " hinges"]
+    endurance_limit: Float[Array, " hinges"]
+    ultimate_strength: Float[Array, " hinges"]
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -141,7 +145,10 @@ def fatigue(mechanism: Mechanism, cycle: CycleLike) -> Fatigue:
     of_hinge = jnp.asarray(rows[None] == limited[:, None])
     index = jnp.argmax(jnp.where(of_hinge, utilization[None], -1.0), axis=1)
     names = tuple(mechanism.hinge_names[row] for row in limited)
-    return Fatigue(amplitude[index], mean[index], utilization[index], names)
+    return Fatigue(
+        amplitude[index], mean[index], utilization[index],
+        endurance[limited], ultimate[limited], names,
+    )  # fmt: skip
 
 
 @jax.jit

@@ -1,3 +1,4 @@
+from .drawings import load_outlines as load_outlines
 from .exudyn import exudyn_script as exudyn_script
 from .models import (
     load_energy as load_energy,

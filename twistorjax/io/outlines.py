@@ -91,17 +91,18 @@ def save_outline(
         )
     count = sum(outline is not None for outline in mechanism.outlines)
     for part in parts[:count]:
-        _require_outline(f"body {mechanism.names[part.row]!r}", part.corners)
+        owner = f"body {mechanism.names[part.row]!r}"
+        require_outline(f"The outline of the {owner}", part.corners)
     for part in parts[count:]:
-        _require_outline(f"hinge {mechanism.hinge_names[part.row]!r}", part.corners)
+        owner = f"hinge {mechanism.hinge_names[part.row]!r}"
+        require_outline(f"The outline of the {owner}", part.corners)
     lines = [_with_arcs(_MM * part.corners) for part in parts]
     cut = [_with_arcs(ring) for ring in _union(parts)]
     (_write_dxf if suffix == ".dxf" else _write_svg)(path, parts, lines, cut)
 
 
-def _require_outline(owner: str, corners: np.ndarray) -> None:
-    """Check the outline of a body or a hinge in the world; m."""
-    name = f"The outline of the {owner}"
+def require_outline(name: str, corners: np.ndarray) -> None:
+    """Check a contour in the world; m."""
     size, far = np.max(np.ptp(corners, axis=0)), np.max(np.abs(corners))
     if not (size >= _SMALLEST and far <= _LARGEST):
         raise ValueError(
@@ -197,14 +198,18 @@ def _with_fine_arcs(outline: Any) -> Any:
     """Divide the arcs of the outline of a hinge, if it is a polygon, into many chords."""
     if outline is None or isinstance(outline, AbstractOutline):
         return outline
-    line = _with_arcs(np.asarray(outline))
+    return with_chords(_with_arcs(np.asarray(outline)), _FINE_TURN)
+
+
+def with_chords(line: Line, turn: float) -> np.ndarray:
+    """Replace the arcs of a closed line by chords that turn by at most `turn`; rad."""
     points = []
     for (x, y, bulge), (next_x, next_y, _) in zip(
         line, np.roll(line, -1, 0), strict=True
     ):
         start, chord = complex(x, y), complex(next_x - x, next_y - y)
         angle = 4 * np.arctan(bulge)
-        count = max(1, math.ceil(abs(angle) / _FINE_TURN))
+        count = max(1, math.ceil(abs(angle) / turn))
         angles = angle * np.arange(count) / count
         if bulge:
             # An arc turns its tangent; a chord from its start has half of this turn.

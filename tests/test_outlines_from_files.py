@@ -1,5 +1,7 @@
 """Outlines of bodies from DXF files."""
 
+from typing import Any
+
 import ezdxf.filemanagement
 import numpy as np
 import pytest
@@ -71,6 +73,7 @@ def test_the_arcs_of_an_outline_are_written_as_arcs_again(tmp_path):
     bodies = [tj.Body("a", outline=outline), tj.Body("b")]
     tj.io.save_outline(tj.Mechanism(bodies, [hinge], ["a"]), tmp_path / "again.dxf")
     lines = ezdxf.filemanagement.readfile(tmp_path / "again.dxf").modelspace()
+    line: Any
     (line,) = lines.query('LWPOLYLINE[layer=="fixed"]')
     x, y, bulge = np.array(line.get_points("xyb")).T
     assert_close(np.sum(4 * np.arctan(bulge)), 2 * np.pi, digits=9)

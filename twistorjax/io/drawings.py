@@ -22,6 +22,7 @@ from .outlines import require_outline, with_chords
 _UNITS = {**UNIT_FACTORS["m"], "in": 0.0254, "ft": 0.3048, "mil": 25.4e-6}
 _CODES = {1: "in", 2: "ft", 4: "mm", 5: "cm", 6: "m", 9: "mil", 12: "nm", 13: "um"}
 _TURN = 0.05  # of the chords of an arc, so that `save_outline` recognizes it; rad
+_FINEST = 9  # a piece of a spline has at most two to this power of half chords
 _SPLINE_ERROR = 1e-4  # distance of the chords of a spline from it, over its size
 _GAP = 1e-6  # largest distance of ends that meet, over the size of all lines of a layer
 _FARTHEST = 1e15  # coordinate in a file; others are damaged
@@ -160,14 +161,16 @@ def _spline_points(entity: Any) -> Points:
     knots = np.array(entity.knots if len(entity.knots) else curve.knots())
     rational = BSpline(knots, np.hstack([controls * weights, weights]), curve.degree)
     breaks = np.unique(knots[curve.degree : len(controls) + 1])
-    for level in range(3, 10):
+    level = 2  # of the division of each piece of the spline
+    while True:
+        level += 1
         places = np.arange(0.0, len(breaks) - 1 + 2.0**-level, 2.0**-level)
         values = rational(np.interp(places, np.arange(len(breaks)), breaks))
         points = values[:, :3] / values[:, 3:]
         error = points[1::2] - (points[:-2:2] + points[2::2]) / 2
-        if np.max(np.abs(error)) <= _SPLINE_ERROR * np.max(np.ptp(controls, axis=0)):
-            break
-    return points[::2]
+        accurate = np.max(np.abs(error)) <= _SPLINE_ERROR * np.max(np.ptp(controls, 0))
+        if accurate or level == _FINEST:
+            return points[::2]
 
 
 def _polyline_points(entity: Any) -> Iterable[Iterable[float]]:

@@ -148,6 +148,8 @@ def _with_arcs(corners: np.ndarray) -> Line:
     # No arc passes the corner at which the curvature changes most.
     jump = np.where(smooth, np.abs(curvature - np.roll(curvature, 1)), np.inf)
     first = int(np.argmax(jump))
+    if smooth[first] and abs(curvature[first]) > abs(curvature[first - 1]):
+        first -= 1  # where a straight edge is tangent to the arc that starts there
     points = np.roll(points, -first, axis=0)
     closed = np.concatenate([points, points[:1]])
     signs = np.roll(smooth * np.sign(turn), -first)

@@ -106,7 +106,7 @@ def _read(path: str | Path) -> tuple[int, dict[str, list[Points]]]:
         for layer, entity in _entities(drawing.modelspace()):
             points = np.array([tuple(point) for point in _points(entity)])
             if not np.all(np.abs(points) <= _FARTHEST):  # also true for NaN
-                raise ValueError(f"{entity} has a coordinate that is no finite number.")
+                raise ValueError(f"{entity} has coordinates above {_FARTHEST:g}.")
             if len(points) > 1:
                 lines.setdefault(layer, []).append(points)
         return drawing.units, lines

@@ -21,7 +21,8 @@ _PREFIXES = (
     (1e12, "p"), (1e9, "n"), (1e6, "\N{MICRO SIGN}"), (1e3, "m"), (1.0, ""), (1e-3, "k"),
     (1e-6, "M"), (1e-9, "G"),
 )  # fmt: skip
-_UNITS_WITH_PREFIX = ("m", "N", "N m", "J", "s", "Hz", "Pa")
+_UNITS_WITH_PREFIX = ("m", "N", "N m", "J", "s", "Hz", "Pa", "rad")
+_LARGE_ANGLE = 1e-2  # from which angles are in rad
 
 
 def subplots(
@@ -46,16 +47,17 @@ def new_axes(size: tuple[float | int, float | int]) -> "Axes":
 def prefixed_unit(unit: str, largest: float) -> tuple[float, str]:
     """Choose the SI prefix with which the largest number is between 1 and 1000.
 
-    The numbers are multiplied by the factor, which is 1 if no prefix fits or if the unit
-    takes none.
+    The numbers are multiplied by the factor, which is 1 if no prefix fits, if the unit
+    takes none, or for angles of 0.01 rad and more.
 
     Example:
         >>> prefixed_unit("m", 0.03)
         (1000.0, 'mm')
-        >>> prefixed_unit("rad", 1e-3)
+        >>> prefixed_unit("rad", 0.3)
         (1.0, 'rad')
     """
-    if unit not in _UNITS_WITH_PREFIX:
+    is_large_angle = unit == "rad" and largest >= _LARGE_ANGLE
+    if unit not in _UNITS_WITH_PREFIX or is_large_angle:
         return 1.0, unit
     fitting = [pair for pair in _PREFIXES if 1 <= largest * pair[0] < 1000]
     factor, prefix = fitting[0] if fitting else (1.0, "")

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.patches import FancyArrowPatch
 from matplotlib.path import Path
+from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation
 from matplotlib.transforms import Transform
 
@@ -67,6 +68,8 @@ class Labels(Artist):
             va="center", **style,
         )  # fmt: skip
         label.set_in_layout(False)  # Its position depends on the layout.
+        # Names can be read on parts of their own color.
+        label.set_path_effects([withStroke(linewidth=2.0, foreground="#ffffffc0")])
         self._labels.append((label, np.asarray(direction, float)))
 
     def draw(self, renderer: "RendererBase") -> None:

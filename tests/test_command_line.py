@@ -1,6 +1,7 @@
 """What the commands of the command line compute, print, and write."""
 
 import json
+import os
 import pathlib
 import subprocess
 import sys
@@ -348,6 +349,42 @@ def test_modes_computes_and_animates_a_mechanism_in_a_file(
     assert (tmp_path / "mode.gif").stat().st_size > 1000
     done = run_here("modes", guide_file, "--animate", "mode.gif", "--mode", "9")
     assert (done.returncode, done.stderr.count("only 3 modes")) == (2, 1)
+
+
+def test_path_follows_the_snap_through_of_a_truss_in_a_file(run_here, tmp_path):
+    truss = tj.examples.truss.von_mises_truss()
+    tj.io.save_mechanism(truss, tmp_path / "truss.json")
+    options = "path", "truss.json", "--load", "apex:0,-20"
+    done = run_here(*options, "--plot", "truss.png", "--over", "apex:y")
+    assert done.returncode == 0 and (tmp_path / "truss.png").exists()
+    record = json.loads(run_here(*options, "--json").stdout)
+    found = tj.path(truss, loads=[tj.Load("apex", force=(0.0, -20.0))])
+    points = record["critical_points"]
+    assert [point["kind"] for point in points] == ["limit", "limit"]
+    factors = [point["load_factor"] for point in points]
+    np.testing.assert_allclose(factors, found.critical_points.load_factors, rtol=1e-9)
+    assert record["stable"].count(False) == np.sum(~found.stable)
+    done = run_here(*options, "--over", "apex:z")
+    assert (done.returncode, done.stderr.count("--over is 'apex:z'")) == (2, 1)
+
+
+def test_new_writes_a_script_and_a_file_of_the_same_mechanism(run_here, tmp_path):
+    assert run_here("new", "folded-guide").returncode == 0
+    done = subprocess.run(
+        [sys.executable, "folded-guide.py"],
+        cwd=tmp_path,
+        env=os.environ | {"MPLBACKEND": "agg"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert (tmp_path / "folded-guide.png").exists()
+    solved = run_here("solve", "folded-guide.json", "--load", "table:2,0").stdout
+    assert done.stdout.startswith(solved)
+    frequencies = run_here("modes", "folded-guide.json").stdout.splitlines()
+    assert all(line in done.stdout for line in frequencies)
+    again = run_here("new", "folded-guide")
+    assert (again.returncode, again.stderr.count("folded-guide.py exists")) == (2, 1)
 
 
 def test_report_writes_a_page_about_a_mechanism_in_a_file(run_here, guide_file, tmp_path):

@@ -68,25 +68,27 @@ def test_the_arcs_of_an_outline_are_written_as_arcs_again(tmp_path):
         space.add_lwpolyline(slot, format="xyb", close=True)
 
     (outline,) = read(tmp_path, draw)["0"]
+    assert len(outline) == 4 + 2 * 62
     assert_close(signed_area(outline), 9 * 6 + 2 * segment(3.0, np.pi), digits=12)
     hinge = tj.Hinge("h", "a", "b", tj.Quadratic(np.eye(3)), at=(0, 0, 0))
     bodies = [tj.Body("a", outline=outline), tj.Body("b")]
     tj.io.save_outline(tj.Mechanism(bodies, [hinge], ["a"]), tmp_path / "again.dxf")
     lines = ezdxf.filemanagement.readfile(tmp_path / "again.dxf").modelspace()
     line: Any
-    (line,) = lines.query('LWPOLYLINE[layer=="fixed"]')
-    x, y, bulge = np.array(line.get_points("xyb")).T
-    assert_close(np.sum(4 * np.arctan(bulge)), 2 * np.pi, digits=9)
-    chord = np.hypot(np.roll(x, -1) - x, np.roll(y, -1) - y)[bulge != 0]
-    radius = chord / (2 * np.sin(2 * np.arctan(bulge[bulge != 0])))
-    assert_close(radius, np.full(len(radius), 3.0), digits=9)
+    for line in lines.query("LWPOLYLINE"):  # the part to be cut, and the body
+        x, y, bulge = np.array(line.get_points("xyb")).T
+        angles = 4 * np.arctan(np.abs(bulge))
+        assert_close(np.sum(angles), 2 * np.pi, digits=9)
+        chord = np.hypot(np.roll(x, -1) - x, np.roll(y, -1) - y)[bulge != 0]
+        radius = chord / (2 * np.sin(angles[bulge != 0] / 2))
+        assert_close(radius, np.full(len(radius), 3.0), digits=9)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_edges_are_joined_in_any_order_and_direction(tmp_path, seed):
     """A plate with an arc outside and one inside of its right side, and a triangle."""
     rng = np.random.default_rng(seed)
-    chains = [[(0, 0), (20, 0)], [(20, 16), (0, 16)], [(0, 16), (0, 10), (0, 0)]]
+    chains = [[(0, 0), (20, 0)], [(20, 14), (20, 16)], [(20, 16), (0, 16), (0, 0)]]
     chains += [[(50, 0), (60, 0)], [(60, 0), (50, 10)], [(50, 10), (50, 0)]]
 
     def draw(space):
@@ -98,18 +100,15 @@ def test_edges_are_joined_in_any_order_and_direction(tmp_path, seed):
                 )
             elif index == len(chains):  # from (20, 0) to (20, 8), outside
                 space.add_arc((20, 4), 4, -90, 90)
-            else:  # from (20, 8) to (20, 16), inside, and seen from below
-                arc = space.add_arc((-20, 12), 4, 270, 90)
+            else:  # from (20, 8) to (20, 14), inside, and seen from below
+                arc = space.add_arc((-20, 11), 3, 270, 90)
                 arc.dxf.extrusion = (0, 0, -1)
 
-    contours = read(tmp_path, draw)["0"]
-    if len(contours[0]) == 3:
-        contours.reverse()
-    plate, triangle = contours
+    triangle, plate = sorted(read(tmp_path, draw)["0"], key=len)
     assert_close(signed_area(triangle), 50.0, digits=12)
     assert len(plate) == 6 + 2 * 62
-    assert_close(signed_area(plate), 20.0 * 16.0)  # Both arcs have the same area.
-    assert_close(np.max(plate[:, 0]), 24e-3, digits=4)
+    area = 20 * 16 + segment(4.0, np.pi) - segment(3.0, np.pi)
+    assert_close(signed_area(plate), area, digits=12)
 
 
 def test_a_circle_an_ellipse_and_a_spline_are_read_from_a_block(tmp_path):
@@ -135,8 +134,21 @@ def test_a_circle_an_ellipse_and_a_spline_are_read_from_a_block(tmp_path):
     np.testing.assert_allclose(np.hypot(*(1e3 * spline - [100, 80]).T), 12, rtol=0.02)
 
 
+def test_a_closed_spline_has_its_points_at_the_knots(tmp_path):
+    """At the knots of a uniform cubic spline, points have the weights 1/6, 4/6, 1/6."""
+    angles = np.arange(8) * np.pi / 4
+    points = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    (smooth,) = read(tmp_path, lambda space: space.add_spline().set_closed(points))["0"]
+    knots = (4 * points + np.roll(points, 1, 0) + np.roll(points, -1, 0))[:, :2] / 6
+    distances = np.hypot(*(1e3 * smooth[:, None] - knots).transpose(2, 0, 1))
+    assert np.max(np.min(distances, axis=0)) < 1e-12
+    steps = np.hypot(*(smooth - np.roll(smooth, 1, axis=0)).T)
+    assert np.max(steps) < 1.1 * np.min(steps)
+
+
 @pytest.mark.parametrize(
-    ("units", "unit", "factor"), [(1, None, 25.4), (6, None, 1e3), (0, "um", 1e-3)]
+    ("units", "unit", "factor"),
+    [(1, None, 25.4), (6, None, 1e3), (0, "um", 1e-3), (1, "mm", 1.0)],
 )
 def test_units_are_those_of_the_file_or_of_the_argument(tmp_path, units, unit, factor):
     def draw(space):
@@ -157,20 +169,32 @@ def test_units_are_those_of_the_file_or_of_the_argument(tmp_path, units, unit, f
                         for a, b in ((0, 1), (1, 2), (2, 0), (2, 3))], {},
          r"branch at \(2, 2\) mm"),
         (lambda space: space.add_lwpolyline(
-            [(0, 0), (2, 2), (2, 0), (0, 3)], close=True), {}, "Contour 0 on the layer"),
+            [(0, 0), (2, 2), (2, 0), (0, 3)], close=True), {}, "Contour 0 .* crosses"),
+        (lambda space: space.add_lwpolyline(
+            [(0, 0), (2, 2), (1, 1)], close=True), {}, "Contour 0 .* encloses no area"),
+        (lambda space: space.add_lwpolyline(
+            SQUARE, close=True, dxfattribs={"extrusion": (1, 0, 1)}), {},
+         "Contour 0 .* is not parallel to the xy plane"),
+        (lambda space: space.add_circle((np.inf, 0), 1), {}, "coordinates above 1e.15"),
+        (lambda space: space.add_blockref("b", (0, 0)), {}, "block definition for"),
         (lambda space: space.add_text("plate"), {}, "has no lines, arcs, circles"),
         (lambda space: space.add_lwpolyline(SQUARE, close=True), {"layers": ["table"]},
          "'table'"),
     ],
 )  # fmt: skip
 def test_what_is_no_outline_is_refused(tmp_path, draw, settings, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=message) as error:
         read(tmp_path, draw, **settings)
+    assert str(tmp_path) in str(error.value) or "layers" in settings
 
 
 def test_a_file_that_is_missing_or_not_of_this_format_is_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         tj.io.load_outlines(tmp_path / "missing.dxf")
-    (tmp_path / "text.dxf").write_text("no drawing")
-    with pytest.raises(ValueError, match="is damaged or not a DXF file"):
-        tj.io.load_outlines(tmp_path / "text.dxf")
+    read(tmp_path, lambda space: space.add_circle((0, 0), 1))
+    path = tmp_path / "drawing.dxf"
+    content = path.read_bytes()
+    for damaged in (b"", b"no drawing", content[:3000], content[: len(content) // 2]):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"drawing\.dxf is damaged or not a DXF"):
+            tj.io.load_outlines(path)

@@ -17,7 +17,9 @@ from .four_bar import four_bar
 from .four_bar_models import four_bar_models
 from .identify import identify
 from .modes import modes
+from .new import new
 from .parallelogram import parallelogram
+from .path import path
 from .random_data import random_data
 from .report import report
 from .solve import solve
@@ -31,7 +33,9 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 _SHORT_HELP = {
+    new: "Files to begin with.",
     solve: "Equilibrium of a mechanism in a file.",
+    path: "Stable and unstable equilibria of a mechanism in a file.",
     report: "A page about a mechanism in a file.",
     modes: "Natural frequencies of a mechanism in a file.",
     stage: "Gain of the micropositioning stage.",

@@ -1,12 +1,14 @@
 """Hook of mkdocs: the code of a page draws its figures.
 
-A page shows a figure that its own code saves: `![A guide](guide.svg)`. The
-file is not kept; the code of the page runs while the manual is built. Other
-pages may show it as well. The figures of a page are drawn again if its code
-or the library has changed.
+A page shows a figure that its own code saves: `![A guide](guide.svg)`, or
+`<iframe src="../guide.html">`. The file is not kept; the code of the page runs
+while the manual is built. Other pages may show it as well. The figures of a
+page are drawn again if its code or the library has changed. To check the
+links only, set the environment variable `FIGURES` to `empty`.
 """
 
 import hashlib
+import os
 import re
 import shutil
 import subprocess
@@ -22,6 +24,7 @@ from mkdocs.structure.files import File, Files
 
 FOLDER = Path(__file__).parent
 CACHE = FOLDER.parent / ".cache" / "figures"
+EMPTY = b'<svg xmlns="http://www.w3.org/2000/svg"/>'
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -32,27 +35,37 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         if (names := figures_of(page))
     ]
     with ThreadPoolExecutor(2) as pool:
-        drawn = pool.map(lambda page: draw(page[0].content_string), wanted)
-        for (page, names), folder in zip(wanted, drawn, strict=True):
-            for name in names:
-                if not (folder / name).exists():
-                    raise FileNotFoundError(
-                        f"{page.src_uri} shows {name}, but its code does not "
-                        "save this figure."
-                    )
+        drawn = pool.map(lambda page: contents(*page), wanted)
+        for (page, _), figures in zip(wanted, drawn, strict=True):
+            for name, content in figures.items():
                 path = Path(page.src_uri).with_name(name).as_posix()
-                figure = File.generated(
-                    config, path, content=(folder / name).read_bytes()
-                )
-                files.append(figure)
+                files.append(File.generated(config, path, content=content))
     return files
+
+
+def contents(page: File, names: list[str]) -> dict[str, bytes]:
+    """Return the contents of the figures of a page."""
+    if os.environ.get("FIGURES") == "empty":
+        return dict.fromkeys(names, EMPTY)
+    folder = draw(page.content_string)
+    for name in names:
+        if not (folder / name).exists():
+            raise FileNotFoundError(
+                f"{page.src_uri} shows {name}, but its code does not save this "
+                "figure."
+            )
+    return {name: (folder / name).read_bytes() for name in names}
 
 
 def figures_of(page: File) -> list[str]:
     """Return the names of the figures that a page shows and saves."""
     if not page.src_uri.endswith(".md"):
         return []
-    shown = re.findall(r"!\[[^]]*\]\(([\w-]+\.svg)\)", page.content_string)
+    shown = re.findall(
+        r"!\[[^]]*\]\(([\w-]+\.(?:svg|gif))\)|<iframe src=\"../([\w-]+\.html)\"",
+        page.content_string,
+    )
+    shown = [figure or frame for figure, frame in shown]
     code = "\n".join(code_of(page.content_string))
     return [name for name in shown if f'"{name}"' in code]
 

@@ -11,7 +11,6 @@ import pytest
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
 ROOT = pathlib.Path(__file__).parents[1]
-FIGURE = r"!\[[^]]*\]\(([\w-]+\.svg)\)"
 LATEX = r"\$[^$]+\$|\\[A-Za-z(\[]|[_^]\{"
 # What a browser loads by itself; links are loaded when a reader follows them.
 LOADED = {
@@ -36,20 +35,12 @@ def site(tmp_path_factory):
     pytest.importorskip("latex2mathml")
     from mkdocs.commands.build import build
 
-    def draw(text):
-        folder = tmp_path_factory.mktemp("figures")
-        for name in re.findall(FIGURE, text):
-            (folder / name).write_text('<svg xmlns="http://www.w3.org/2000/svg"/>')
-        return folder
-
     folder = tmp_path_factory.mktemp("site")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(ROOT)
+        patch.setenv("FIGURES", "empty")
         config = mkdocs.load_config(str(ROOT / "mkdocs.yml"), site_dir=str(folder))
         config.plugins["mkdocs-jupyter"].config["cache"] = False
-        for hook in config.hooks.values():
-            if hasattr(hook, "draw"):
-                patch.setattr(hook, "draw", draw)
         config.plugins.on_startup(command="build", dirty=False)
         build(config)
     return folder

@@ -79,6 +79,10 @@ def run_page(monkeypatch, tmp_path):
             if output:
                 assert_same_output(printed.getvalue(), output)
         plt.close("all")
+        text = PAGES[name].read_text()
+        for figure in re.findall(r"\]\(([\w-]+\.(?:svg|gif))\)", text):
+            saved = (tmp_path / figure).exists() or f'"{figure}"' not in text
+            assert saved, f"{name} does not save {figure}"
         return variables
 
     yield run

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from typing_extensions import TypeAliasType
 
+from .._compile.compilation import fast_compile
 from .._utils.types import NumberLike
 from .._utils.validation import quote, require_float64, require_package
 from ..designs.parameters import Parameter
@@ -102,7 +103,7 @@ class Explorer:
             ]
             return mechanism, solution.poses, outputs, solution.result
 
-        self._solve_all = jax.jit(jax.vmap(solve))
+        self._solve_all = fast_compile(jax.vmap(solve), store=False, jit=jax.jit)
         self._bounds = np.array([(p.lower, p.upper) for p in variables.values()])
         # The window shows the mechanism at both bounds of each parameter.
         start = np.array([float(parameter.value) for parameter in variables.values()])

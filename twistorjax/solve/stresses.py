@@ -2,6 +2,7 @@
 
 import jax
 
+from .._compile.compilation import fast_compile
 from .._utils.progress import announced
 from .._utils.types import PosesOrResult
 from ..assembly.stress import largest_stresses, rows_with_stress
@@ -58,4 +59,4 @@ def stresses(mechanism: Mechanism, at: PosesOrResult) -> Stresses:
     return select_stresses(mechanism.hinge_assembly, largest, mechanism.hinge_names)
 
 
-_largest = jax.jit(largest_stresses)
+_largest = fast_compile(largest_stresses, jit=jax.jit)

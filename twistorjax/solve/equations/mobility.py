@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
+from ..._compile.compilation import fast_compile
 from ..._utils.types import Poses
 from ...assembly.assembly import HingeAssembly
 from ...mechanism.mechanism import COORDINATES, Mechanism
@@ -15,7 +15,7 @@ from .system import System
 
 _FORCES = ("moment", "axial force", "transverse force")
 
-_hinge_rows = jax.jit(HingeAssembly.rows_and_stiffness)
+_hinge_rows = fast_compile(HingeAssembly.rows_and_stiffness, optimize=False)
 
 # Singular values, and entries of vectors, below this fraction are rounding errors.
 _ROUNDING = 1e-9

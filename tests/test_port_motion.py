@@ -280,3 +280,12 @@ def test_a_position_without_equilibrium_is_reported():
     )
     np.testing.assert_array_equal(motion.succeeded, np.isfinite(motion.output))
     assert 1 < int(jnp.sum(motion.succeeded)) < 11
+
+
+def test_a_travel_in_the_negative_direction_begins_at_zero():
+    drive = tj.Drive("6", x=-1.35e-6)
+    motion = tj.port_motion(
+        tj.examples.stage.microstage(), "4", direction="x", drive=drive, positions=3
+    )
+    table = [line.split() for line in str(motion).splitlines()[3:6]]
+    assert [row[0] for row in table] == ["0", "-6.75e-07", "-1.35e-06"]

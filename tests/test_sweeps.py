@@ -456,3 +456,9 @@ def test_the_webs_of_the_stage_may_differ():
         np.testing.assert_allclose(found, expected, rtol=1e-12)
     with pytest.raises(ValueError, match="one for each of the hinges a, b"):
         stage.microstage(np.full(3, 0.25e-3))
+
+
+@pytest.mark.untyped
+def test_a_unit_in_the_place_of_axes_is_refused():
+    with pytest.raises(ValueError, match=r"write Column\(values, unit='m'\)"):
+        tj.solve.Column(jnp.ones(()), "m")  # pyright: ignore[reportArgumentType]

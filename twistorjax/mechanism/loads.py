@@ -329,10 +329,15 @@ def prescribed_dofs(
                 continue
             dof = 3 * body + coordinate
             if dof in mechanism.fixed or dof in values:
-                how = "fixed" if dof in mechanism.fixed else "prescribed"
+                how = "prescribed already. Give each coordinate once."
+                if dof in mechanism.fixed:
+                    how = (
+                        "fixed already. Leave it out of `fixed` of the mechanism, which "
+                        f"may be a mapping such as {{{drive.body!r}: ['angle']}}."
+                    )
                 raise ValueError(
                     f"`drives[{k}]` prescribes the {name} of {drive.body!r}, which is "
-                    f"{how} already."
+                    f"{how}"
                 )
             values[dof] = value
     return tuple(values), tuple(values.values())

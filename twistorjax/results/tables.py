@@ -40,6 +40,13 @@ class Column(eqx.Module):
     unit: str = eqx.field(static=True, default="")
     labels: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True, default=())
 
+    def __check_init__(self):
+        if isinstance(self.axes, str):
+            raise ValueError(
+                f"`axes` of a column is {self.axes!r}, but must be names of axes. If it "
+                f"is the unit, write Column(values, unit={self.axes!r})."
+            )
+
 
 Columns = dict[str, Column]
 

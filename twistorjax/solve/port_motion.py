@@ -31,7 +31,7 @@ from ..mechanism.loads import Drive, Load, prescribed_dofs
 from ..mechanism.mechanism import COORDINATES, Mechanism
 from ..mechanism.misfits import stroke_rows
 from ..results.codes import RESULTS, Solution
-from ..results.tables import Column, Columns, Tabular
+from ..results.tables import cells, Column, Columns, Tabular
 from .constraint_analysis import constraint_analysis
 from .equations.state import warn_outside_linear_range
 from .equilibrium import equilibrium
@@ -168,10 +168,10 @@ class PortMotion(Solution, Tabular):
         force, center = np.asarray(self.force), np.asarray(self.center)
         for k in range(len(travel)):
             row = [travel[k], *displacement[k], rate[k, index], force[k], *center[k]]
-            cells = [f"{value:>13.6g}" for value in row]
+            columns = cells(np.array(row))
             if np.max(np.abs(center[k])) > _FARTHEST:
-                cells[-2:] = 2 * [f"{'-':>13}"]
-            lines.append(" ".join(cells))
+                columns[-2:] = 2 * [f"{'-':>13}"]
+            lines.append(" ".join(columns))
         lines.append("displacement and center in the axes of the port at its start")
         return "\n".join(lines)
 

@@ -79,6 +79,8 @@ class Equilibrium(PoseSolution):
             title += f", {float(self.energy):.6g} J in the hinges"
         if self.stresses is not None:
             title += f"\n{self.stresses.summary()}"
+        if float(self.fraction) < 1:
+            title += "\nlast displacements that were reached:"
         return self._listed(title, "body", np.asarray(self.reached))
 
 

@@ -11,7 +11,6 @@ const STYLE = `
 .tj-explorer text { fill: currentColor; font-size: 12px; }
 .tj-explorer p { color: #d55e00; min-height: 1.5em; margin: 0; }
 `;
-const CLOSED = new Set(["body", "fixed", "hinge"]);
 
 function render({ model, el }) {
   const page = model.get("page");
@@ -179,7 +178,8 @@ function look(kind, page) {
   if (kind === "reference") {
     return { ...line, stroke: "currentColor", "stroke-dasharray": "2 3", opacity: 0.6 };
   }
-  if (CLOSED.has(kind)) return { ...line, fill: color, stroke: "#404040" };
+  if (kind === "hinge") return { ...line, fill: color, stroke: color };
+  if (kind === "body" || kind === "fixed") return { ...line, fill: color, stroke: "#404040" };
   return { ...line, stroke: color, "stroke-width": 3, "stroke-linecap": "round" };
 }
 

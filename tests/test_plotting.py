@@ -133,8 +133,13 @@ def test_flexures_without_outlines_are_drawn_by_their_contours():
         np.testing.assert_allclose(np.ptp(corners, axis=0), [length, height], rtol=1e-4)
 
 
-def test_names_can_be_left_out():
-    assert not tj.draw(stage.microstage(), names=False).texts
+def test_all_names_or_some_can_be_left_out():
+    mechanism = stage.microstage()
+    assert not tj.draw(mechanism, names=False).texts
+    shown = tj.draw(mechanism, names=["a", "6"]).texts
+    assert {text.get_text() for text in shown} == {"a", "6"}
+    with pytest.raises(ValueError, match="`names` has 'z', but the parts are '1'"):
+        tj.draw(mechanism, names=["a", "z"])
 
 
 def double_parallelogram():

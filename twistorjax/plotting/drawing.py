@@ -1,6 +1,6 @@
 """Drawings of a mechanism at given poses, on matplotlib axes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal, TYPE_CHECKING
 
 import jax
@@ -9,7 +9,7 @@ import numpy as np
 from typing_extensions import TypeAliasType
 
 from .._utils.types import NamedNumbers, PosesLike
-from .._utils.validation import index_of, quote
+from .._utils.validation import index_of, listing, quote, require_names
 from ..assembly.assembly import HingeAssembly
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
@@ -70,7 +70,7 @@ def draw(
     *,
     magnify: float | int = 1.0,
     reference: bool = True,
-    names: bool | None = None,
+    names: bool | Sequence[str] | None = None,
     frames: bool = False,
     loads: Sequence[Load] = (),
     reactions: bool = False,
@@ -92,7 +92,8 @@ def draw(
             last pose is drawn. By default the reference configuration is drawn.
         magnify: Factor on all displacements, including angles. It is stated in the title.
         reference: Whether the reference configuration is shown by dotted lines.
-        names: Whether bodies and hinges are labeled with their names; by default only if
+        names: Whether bodies and hinges are labeled with their names, or the names of
+            those that are, for example not of all segments of a chain; by default only if
             there are few of them.
         frames: Whether the frames of bodies and hinges are shown. Axis 1 is thicker.
         loads: Loads to show as arrows with their values. A force or moment is left out if
@@ -139,8 +140,7 @@ def draw(
         draw_reference(mechanism, axes)
     (fills,) = color_bar(axes, values, label) if values else [{}]
     draw_shapes(axes, drawn, unit, fills)
-    if names is None:
-        names = len(mechanism.names) <= _MOST_NAMES
+    labeled = _labeled(mechanism, names)
     if frames:
         mark_frames(axes, mechanism, drawn_poses, unit)
     mark_constraints(axes, mechanism, drawn_poses, constraints, unit)
@@ -151,8 +151,7 @@ def draw(
             mechanism.hinge_assembly.forces(jnp.asarray(displacements))
         )
     mark_wrenches(axes, wrenches, size, unit, hinge_forces=hinge_forces)
-    if names:
-        _label_parts(axes, mechanism, drawn_poses, unit)
+    _label_parts(axes, mechanism, drawn_poses, unit, labeled)
     axes.set_aspect("equal")
     axes.autoscale_view()
     axes.set_xlabel(f"x ({unit_name})")
@@ -355,15 +354,39 @@ def color_bar(
     ]
 
 
+def _labeled(mechanism: Mechanism, names: bool | Sequence[str] | None) -> Collection[str]:
+    """Return the names of the parts that are labeled."""
+    parts = [*mechanism.names, *mechanism.hinge_names]
+    if names is None:
+        names = len(mechanism.names) <= _MOST_NAMES
+    if isinstance(names, bool):
+        return parts if names else []
+    require_names("`names`", names)
+    for name in names:
+        if name not in parts:
+            raise ValueError(
+                f"`names` has {quote(name)}, but the parts are {listing(parts)}."
+            )
+    return names
+
+
 def _label_parts(
-    axes: "Axes", mechanism: Mechanism, poses: np.ndarray, unit: float
+    axes: "Axes",
+    mechanism: Mechanism,
+    poses: np.ndarray,
+    unit: float,
+    labeled: Collection[str],
 ) -> None:
     """Label hinges beside their centers, and bodies inside their outlines."""
+    if not labeled:
+        return
     from .labels import Labels
 
     labels = Labels.of(axes)
     middle = np.mean(axes.dataLim.intervalx) / unit
     for hinge, name in enumerate(mechanism.hinge_names):
+        if name not in labeled:
+            continue
         angle, x, y = np.mean(hinge_frames(mechanism, poses, hinge), axis=0)
         upright = abs(np.sin(angle)) > abs(np.cos(angle))
         inward = -1.0 if x > middle else 1.0
@@ -373,6 +396,8 @@ def _label_parts(
     for name, pose, outline in zip(
         mechanism.names, poses, mechanism.outlines, strict=True
     ):
+        if name not in labeled:
+            continue
         if outline is None:
             labels.add(name, unit * pose[1:], np.array([0.0, -1.0]), zorder=5)
         else:

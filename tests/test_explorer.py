@@ -72,6 +72,12 @@ def test_the_widget_answers_a_slider_with_the_equilibrium(explorer):
     np.testing.assert_allclose(moved[1], expected + 2 * angle, rtol=5e-3)
 
 
+def test_a_mechanism_is_shown_without_a_curve():
+    widget = tj.explore(spring, PARAMETERS).widget
+    widget.request = {"number": 1, "values": [500.0, 0.0], "over": 1}
+    assert widget.state["outputs"] == [] and widget.state["points"]
+
+
 def test_a_design_without_an_equilibrium_is_explained(explorer):
     widget = explorer.widget
     widget.request = {"number": 2, "values": [1e-6, 1.0], "over": 0}

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import cached_property
 from html import escape
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -249,7 +250,8 @@ class Explorer:
         padding = np.tile(rows[-1:], (_POSITIONS + 1 - len(rows), 1))
         solved = self._solve_all(np.concatenate([rows, padding]))
         mechanisms, poses, outputs, results = jax.device_get(solved)
-        table, states = np.stack(outputs, axis=1), []
+        table = np.stack(outputs, axis=1) if outputs else np.zeros((len(poses), 0))
+        states = []
         names = result_names(results)
         assert names is not None  # not traced
         for k, name in enumerate(names[: len(rows)]):
@@ -270,7 +272,7 @@ class Explorer:
 def explore(
     build: Callable[[Any], Any],
     parameters: Mapping[str, Any],
-    curves: Mapping[str, Curve],
+    curves: Mapping[str, Curve] = MappingProxyType({}),
 ) -> Explorer:
     """Change parameters and loads of a mechanism by sliders.
 

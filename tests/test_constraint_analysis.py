@@ -161,3 +161,24 @@ def test_a_failed_solve_names_the_bodies_that_nothing_holds():
     assert "Nothing resists the motion of 'lever', 'tool'" in str(error.value)
     held = tj.constraint_analysis(mechanism, prescribed={"lever": ["angle"]})
     assert not any("lever" in bodies for bodies in held.moving_bodies)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.2e-3, 0.5e-3, 1e-3, 9.5e-3, 50e-3])
+def test_the_freedom_of_a_pivot_does_not_depend_on_the_origin_of_its_body(offset):
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=20e-3, thickness=0.2e-3, width=10e-3)
+    bodies = [tj.Body("base"), tj.Body("mirror", (0.0, 0.0, offset))]
+    hinges = [
+        tj.Hinge(name, "base", "mirror", leaf, at=(angle, 0.0, 0.0))
+        for name, angle in (("a", np.pi / 4), ("b", 3 * np.pi / 4))
+    ]
+    pivot = tj.Mechanism(bodies, hinges, fixed=["base"])
+    found = tj.constraint_analysis(pivot)
+    (motion,) = found.motions
+    angle, x, y = motion[1]
+    shift = found.length * np.array([x, y])  # m
+    np.testing.assert_allclose(shift, [-offset * angle, 0.0], atol=1e-12)
+    assert len(found.self_stresses) == 0
+    assert "mainly angle of 'mirror'" in str(found)
+    spatial = tj.out_of_plane(pivot).constraint_analysis()
+    assert (len(spatial.motions), len(spatial.self_stresses)) == (0, 1)

@@ -373,3 +373,18 @@ def test_the_tables_of_the_manual_have_the_numbers_of_the_formulas():
             (difference,) = re.findall(r"[\d.]+", row[2 + 2 * component])
             expected = 100 * (plain[component] / exact[component] - 1)
             np.testing.assert_allclose(float(difference), expected, atol=0.06)
+
+
+def test_a_notch_that_reaches_both_plates_is_not_misplaced():
+    """The length of its contour counts, not that of a leaf of the same stiffness."""
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    notch = tj.flexures.parabolic_notch(
+        steel, length=20e-3, web=0.5e-3, depth=4e-3, width=10e-3
+    )
+
+    def plate(y):
+        return 1e-3 * np.array([(-10, y), (10, y), (10, y + 4), (-10, y + 4)])
+
+    bodies = [tj.Body("a", outline=plate(-4)), tj.Body("b", outline=plate(20))]
+    at = (np.pi / 2, 0.0, 10e-3)
+    tj.Mechanism(bodies, [tj.Hinge("h", "a", "b", notch, at=at)], fixed=["a"])

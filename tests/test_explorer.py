@@ -15,7 +15,7 @@ import twistorjax as tj
 LENGTH, WIDTH, MODULUS = 50e-3, 10e-3, 210e9
 STEEL = tj.Material(modulus=MODULUS, poisson=0.3)
 PARAMETERS = {
-    "thickness": tj.Parameter(0.5e-3, "m", lower=0.3e-3, upper=0.7e-3),
+    "thickness": tj.Parameter(0.5e-3, "m", lower=0.28e-3, upper=0.7e-3),
     "force": tj.Parameter(0.1, "N", lower=-1.0, upper=1.0),
     "name": "tip",  # a constant
 }
@@ -101,8 +101,9 @@ const slide = async (slider, value) => {
              at: [circle.cx.baseVal.value, circle.cy.baseVal.value] };
 };
 const sliders = document.querySelectorAll("input[type=range]");
-const found = [await slide(sliders[1], -1), await slide(sliders[1], 1)];
-found.push(await slide(sliders[0], 700));
+const found = [sliders[0].parentElement.textContent];
+found.push(await slide(sliders[1], 0), await slide(sliders[1], 4));
+found.push(await slide(sliders[0], 4));
 const text = JSON.stringify(found);
 document.body.append(Object.assign(document.createElement("pre"), { textContent: text }));
 </script></html>"""
@@ -117,7 +118,8 @@ def test_a_page_without_python_follows_its_sliders(explorer, tmp_path):
     command += [f"--user-data-dir={tmp_path}/user", "--virtual-time-budget=5000"]
     command += ["--dump-dom", page.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    low, high, thick = json.loads(re.findall("<pre>(.*)</pre>", done.stdout)[0])
+    start, low, high, thick = json.loads(re.findall("<pre>(.*)</pre>", done.stdout)[0])
+    assert start == "thickness500 µm"
     assert [low["text"], thick["text"]] == ["force-1 N", "thickness700 µm"]
     # The tip moves up with the force, and less if the leaf is thick.
     tops = [
@@ -144,6 +146,11 @@ def test_a_page_without_python_follows_its_sliders(explorer, tmp_path):
 def test_what_cannot_be_explored_is_refused(build, parameters, message):
     with pytest.raises(ValueError, match=message):
         tj.explore(build, parameters, {})
+
+
+def test_a_curve_is_one_number():
+    with pytest.raises(ValueError, match=r"`curves\['tip'\]` has shape \(3,\)"):
+        tj.explore(spring, PARAMETERS, {"tip": lambda _, at: at.displacement("tip")})
 
 
 def test_a_page_of_too_many_states_is_refused(explorer, tmp_path):

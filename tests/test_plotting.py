@@ -571,3 +571,44 @@ def test_hinges_of_infinite_life_are_below_the_line_of_goodman():
     points = {line.get_label(): np.ravel(line.get_xydata()) for line in axes.lines}
     np.testing.assert_allclose(points["infinite life"], [120 / 800, 120 / 300], rtol=1e-6)
     np.testing.assert_allclose(points["finite life"], [300 / 800, 300 / 300], rtol=1e-6)
+
+
+def test_hinges_of_unknown_stress_are_gray():
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=20e-3, thickness=0.5e-3, width=10e-3)
+    square = [(-2e-3, -2e-3), (2e-3, -2e-3), (2e-3, 2e-3), (-2e-3, 2e-3)]
+    spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 1e4, 1e4])))
+    hinges = [
+        tj.Hinge("leaf", "wall", "block", leaf, at=(0, 10e-3, 0)),
+        tj.Hinge("spring", "wall", "block", spring, at=(0, 0, 0), outline=square),
+    ]
+    bodies = [tj.Body("wall"), tj.Body("block")]
+    mechanism = tj.Mechanism(bodies, hinges, fixed=["wall"])
+    solution = tj.equilibrium(mechanism, loads=[tj.Load("block", force=(0.0, 1.0))])
+    axes = tj.draw(mechanism, solution, color="stress", names=False)
+    fills = [
+        to_hex(color)
+        for part in axes.collections
+        if isinstance(part, PolyCollection) and len(part.get_paths()) == 2
+        for color in part.get_facecolor()
+    ]
+    assert fills[-1] == figure_style.GRAY and fills[-2] != figure_style.GRAY
+
+
+@pytest.mark.untyped
+def test_wrong_arguments_of_drawings_are_explained():
+    mechanism = oscillator()
+    found = tj.equilibrium(mechanism)
+    with pytest.raises(ValueError, match="`mechanism` is a Equilibrium, but must be a"):
+        tj.draw(found, mechanism)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match=r"Use `animate\(mechanism, vibrations"):
+        tj.draw(mechanism, tj.vibrations(mechanism))  # pyright: ignore[reportArgumentType]
+
+
+def test_rounding_errors_are_not_drawn_as_contours():
+    spring = tj.Quadratic(np.diag([0.1, 1e6, 1e6]), "twist")
+    figure = tj.plotting.draw_energy(spring)
+    panel = figure.axes[3]
+    assert panel.get_title() == "axial displacement (m)"
+    contours = [c for c in panel.collections if isinstance(c, ContourSet)]
+    assert all(np.max(np.abs(c.zmax)) == 0 for c in contours)

@@ -167,3 +167,14 @@ def test_a_failure_has_the_same_message_under_a_gradient():
     for function in (sinking, jax.grad(sinking)):
         with pytest.raises(RuntimeError, match="There is a limit point at the fraction"):
             function(40.0)
+
+
+def test_loads_on_fixed_bodies_only_are_noticed():
+    spring = tj.Quadratic(np.diag([1.0, 100.0, 100.0]))
+    hinge = tj.Hinge("spring", "wall", "block", spring, at=(0, 0, 0))
+    bodies = [tj.Body("wall"), tj.Body("block")]
+    mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
+    on_wall, on_block = (tj.Load(name, force=(5.0, 0.0)) for name in ("wall", "block"))
+    with pytest.warns(UserWarning, match="All loads act on fixed bodies"):
+        tj.equilibrium(mechanism, loads=[on_wall])
+    tj.equilibrium(mechanism, loads=[on_wall, on_block])

@@ -267,3 +267,16 @@ def test_strokes_that_are_no_mapping_are_refused():
     strokes: Any = (0, 1e-6, 0)
     with pytest.raises(ValueError, match="must be a mapping from names of hinges"):
         tj.simulate(actuated_block(), [0, 1], strokes=strokes)
+
+
+def test_an_equilibrium_of_other_strokes_is_refused():
+    """The mechanism without the stroke would have another wrench."""
+    block = actuated_block()
+    driven = block.with_strokes({"actuator": (0.0, 1e-2, 0.0)})
+    found = tj.equilibrium(driven)
+    x = 1e-2 * STIFFNESS / (STIFFNESS + 100)
+    wrench = driven.wrench_of("actuator", found)
+    assert_close(wrench[1], STIFFNESS * (x - 1e-2))
+    for other in (block, block.with_strokes({"actuator": (0.0, 2e-2, 0.0)})):
+        with pytest.raises(ValueError, match="a mechanism with other misfits, strokes"):
+            other.wrench_of("actuator", found)

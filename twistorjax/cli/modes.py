@@ -35,7 +35,8 @@ def modes(
 ) -> None:
     """Compute the natural frequencies of a mechanism in its plane.
 
-    The table says if there are lower ones out of the plane.
+    The table says if there are lower ones out of the plane, unless its bodies have no
+    `tilt_inertia`, or a hinge was not created from dimensions.
 
     Example: twistorjax modes guide.json --animate mode.gif
     """

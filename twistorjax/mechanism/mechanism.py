@@ -53,7 +53,13 @@ from .copies import (
 )
 from .hinge import AbstractOutline, Hinge
 from .material import Expansion
-from .misfits import expanded, HingeState, stroke_rows, Temperature
+from .misfits import (
+    expanded,
+    HingeState,
+    require_same_misfits,
+    stroke_rows,
+    Temperature,
+)
 from .placement import warn_if_misplaced
 
 
@@ -512,8 +518,13 @@ class Mechanism(eqx.Module):
 
         Returns:
             Its array or its arrays, with the axes of the batch in front.
+
+        Raises:
+            ValueError: The equilibrium is that of a mechanism with other strokes or other
+                misfits.
         """
         displacements = self.displacements(at, "at")
+        require_same_misfits(self.hinge_assembly.misfits, at)
         batch = displacements.shape[:-2]
         flat = displacements.reshape(-1, *self.reference.shape)
         state = HingeState.of_solution(at, batch)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._utils.host import as_float, concrete, on_host
+from .._utils.host import all_concrete, as_float, concrete, on_host
 from .._utils.stacking import PerPart
 from .._utils.types import NamedNumbers, NumberLike, PoseLike, Poses, Scalar, Wrenches
 from .._utils.validation import index_of, quote, require_finite, require_pose, warn
@@ -66,6 +66,22 @@ class HingeState(NamedTuple):
         if strokes is not None:
             strokes = rows(strokes, strokes.shape[-2:])
         return cls(strokes, jax.tree.map(lambda values: rows(values, ()), temperature))
+
+
+def require_same_misfits(own: Float[Array, "hinges 6"] | None, at: Any) -> None:
+    """Check that an equilibrium has the misfits of the mechanism, if they are known."""
+    if not hasattr(at, "misfits"):  # poses, and results that have strokes of their own
+        return
+    known = all_concrete([x for x in (own, at.misfits) if x is not None])
+    if known is None:
+        return
+    difference = known[0] - known[1] if len(known) == 2 else sum(known)
+    if np.any(difference):
+        raise ValueError(
+            "The equilibrium is that of a mechanism with other misfits, strokes, or "
+            "temperatures. Ask the mechanism that was solved, such as the one that "
+            "`with_strokes` returned."
+        )
 
 
 def stroke_rows(

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from .._utils.host import all_concrete, concrete
 from .._utils.validation import warn
+from ..energies.stress_model import stress_model
 from .body import Body
 from .copies import PartCopies
 from .hinge import AbstractOutline, Hinge
@@ -60,6 +61,9 @@ def _length(hinge: Hinge) -> float | None:
     if hinge.expansion is not None:
         length = concrete(hinge.expansion.length)
         return None if length is None else float(length)
+    if (model := stress_model(hinge.energy)) is not None:
+        corners = concrete(model.outline())
+        return None if corners is None else float(np.ptp(corners[:, 0]))
     length = hinge.energy.flexure_length
     known = None if length is None else concrete(length)
     return None if known is None else float(known)

@@ -9,7 +9,13 @@ import numpy as np
 from typing_extensions import TypeAliasType
 
 from .._utils.types import NamedNumbers, PosesLike
-from .._utils.validation import index_of, listing, quote, require_names
+from .._utils.validation import (
+    index_of,
+    listing,
+    quote,
+    require_instance,
+    require_names,
+)
 from ..assembly.assembly import HingeAssembly
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Load
@@ -18,6 +24,7 @@ from ..solve.integration.solution import Motion
 from ..solve.linearization import LinearResponse
 from ..solve.statics.solution import Equilibrium
 from ..solve.stresses import stresses
+from ..solve.vibration_results import Vibrations
 from .figure_style import (
     FILLS,
     GRAY,
@@ -124,6 +131,9 @@ def draw(
         >>> axes.get_xlabel()
         'x (mm)'
     """
+    from matplotlib.colors import to_rgba
+
+    require_instance("mechanism", mechanism, Mechanism)
     mechanism = with_flexure_outlines(mechanism)
     undeformed = np.asarray(mechanism.reference)
     displacements = _displacements(mechanism, poses)
@@ -139,6 +149,9 @@ def draw(
     if reference:
         draw_reference(mechanism, axes)
     (fills,) = color_bar(axes, values, label) if values else [{}]
+    if color == "stress":  # of other hinges, it is not known
+        hinges = [("hinge", row) for row in range(len(mechanism.hinge_names))]
+        fills = {**dict.fromkeys(hinges, to_rgba(GRAY)), **fills}
     draw_shapes(axes, drawn, unit, fills)
     labeled = _labeled(mechanism, names)
     if frames:
@@ -268,6 +281,11 @@ def _displacements(mechanism: Mechanism, poses: Drawn | None) -> np.ndarray:
                 "of them, for example `jax.tree.map(lambda leaf: leaf[0], results)`."
             )
         poses = rows[-1] if isinstance(poses, Motion) else rows
+    if isinstance(poses, Vibrations):
+        raise ValueError(
+            "`poses` are vibrations. Use `animate(mechanism, vibrations, mode=0)`, or "
+            "draw the poses `mechanism.reference + amplitude * vibrations.shapes[0]`."
+        )
     displacements = np.asarray(mechanism.displacements(poses, single=True))
     if not np.all(np.isfinite(displacements)):
         raise ValueError(

@@ -42,13 +42,15 @@ function render({ model, el }) {
   function addSlider(slider, k) {
     const label = element("label", {}, left);
     element("span", {}, label).textContent = slider.name;
-    const range = { type: "range", min: slider.lower, max: slider.upper };
-    range.step = (slider.upper - slider.lower) / ((page.levels ?? 1001) - 1);
-    range.value = slider.value;
-    const input = element("input", range, label);
+    // On a page without Python, a slider has some positions, which it counts.
+    const { lower, upper, value, positions } = slider;
+    const range = positions
+      ? { min: 0, max: positions.length - 1, step: 1, value: positions.indexOf(value) }
+      : { min: lower, max: upper, step: (upper - lower) / 1000, value };
+    const input = element("input", { type: "range", ...range }, label);
     const output = element("output", {}, label);
     const follow = () => {
-      values[k] = Number(input.value);
+      values[k] = positions ? positions[Number(input.value)] : Number(input.value);
       output.textContent = `${rounded(values[k])} ${slider.unit}`;
     };
     follow();
@@ -106,7 +108,7 @@ function render({ model, el }) {
 
 export default { render };
 
-// Answer requests from a table of states: all combinations of the levels of the sliders.
+// Answer requests from a table of states: all combinations of positions of the sliders.
 function tableOf(data) {
   const { page, outputs, messages } = data;
   const bytes = Uint8Array.from(atob(data.points), (c) => c.charCodeAt(0));
@@ -118,22 +120,19 @@ function tableOf(data) {
   let listener = () => {};
 
   function answer({ number, values, over }) {
-    const at = values.map((value, k) => {
-      const { lower, upper } = page.sliders[k];
-      return Math.round(((value - lower) / (upper - lower)) * (page.levels - 1));
-    });
-    const row = (levels) => levels.reduce((sum, level) => sum * page.levels + level, 0);
+    const { positions } = page.sliders[over];
+    const at = values.map((value, k) => page.sliders[k].positions.indexOf(value));
+    const row = (levels) =>
+      levels.reduce((sum, level) => sum * positions.length + level, 0);
     const here = row(at);
-    const { lower, upper } = page.sliders[over];
-    const levels = [...Array(page.levels).keys()];
     const points = starts[here] < 0 ? [] : coordinates.slice(starts[here], starts[here] + size);
     return {
       number,
       points: Array.from(points, (x, k) => data.origin[k % 2] + data.scale * x),
       message: messages[here],
       outputs: outputs[here],
-      at: levels.map((k) => lower + ((upper - lower) * k) / (page.levels - 1)),
-      along: levels.map((k) => outputs[row(at.with(over, k))]),
+      at: positions,
+      along: positions.map((_, k) => outputs[row(at.with(over, k))]),
     };
   }
 

@@ -17,7 +17,12 @@ from typing_extensions import TypeAliasType
 
 from .._compile.compilation import fast_compile
 from .._utils.types import NumberLike
-from .._utils.validation import quote, require_float64, require_package
+from .._utils.validation import (
+    quote,
+    require_float64,
+    require_package,
+    require_shape,
+)
 from ..designs.parameters import Parameter
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import result_message, result_names
@@ -99,15 +104,20 @@ class Explorer:
                 )
             solution = equilibrium(mechanism, **{**case, "throw": False})
             outputs = [
-                jnp.asarray(curve(mechanism, solution), float)
-                for curve in curves.values()
+                require_shape(
+                    f"`curves[{label!r}]`",
+                    curve(mechanism, solution),
+                    (),
+                    "be one number",
+                )
+                for label, curve in curves.items()
             ]
             return mechanism, solution.poses, outputs, solution.result
 
         self._solve_all = fast_compile(jax.vmap(solve), store=False, jit=jax.jit)
         self._bounds = np.array([(p.lower, p.upper) for p in variables.values()])
-        # The window shows the mechanism at both bounds of each parameter.
         start = np.array([float(parameter.value) for parameter in variables.values()])
+        # The window shows the mechanism at both bounds of each parameter.
         ends = [
             np.where(np.arange(len(start)) == column, bound, start)
             for column, bounds in enumerate(self._bounds)
@@ -177,7 +187,8 @@ class Explorer:
 
         Args:
             path: Path of the file, which ends with .html.
-            levels: Number of positions of each slider. All combinations are computed.
+            levels: Number of positions of each slider, one of which is its start. All
+                combinations are computed.
 
         Raises:
             ValueError: The path has another ending, or there are more than 20,000 states.
@@ -194,6 +205,11 @@ class Explorer:
                 f"{_MOST_STATES:,} states."
             )
         axes = [np.linspace(low, high, levels) for low, high in self._bounds]
+        sliders = [dict(slider) for slider in self._page["sliders"]]
+        for axis, slider in zip(axes, sliders, strict=True):
+            start = slider["value"] / slider["factor"]
+            axis[np.argmin(np.abs(axis - start))] = start
+            slider["positions"] = (slider["factor"] * axis).tolist()
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         states = self._states(grid.reshape(-1, len(axes)))
         corners = self._per_meter * np.array(
@@ -205,7 +221,7 @@ class Explorer:
         data = {
             "page": {
                 **self._page,
-                "levels": levels,
+                "sliders": sliders,
                 "box": [*low.tolist(), *high.tolist()],
             },
             "origin": low.tolist(),

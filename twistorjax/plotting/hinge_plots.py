@@ -92,6 +92,10 @@ def draw_energy(
     given = jnp.zeros(0) if axial is None else jnp.array([axial])
     values = _evaluate(energy, grid, given)
     values = np.where(np.isfinite(values).all(axis=1, keepdims=True), values, np.nan)
+    # Rounding errors are not drawn.
+    force = np.nanmax(np.abs(values[:, 2:4]), initial=0.0)
+    sizes = np.array([0.0, 0.0, force, force, transverse])
+    values = np.where(np.abs(values) < 1e-12 * sizes, 0.0, values)
     values = values.reshape(points, points, -1)
 
     figure, panels = subplots(2, 2, size=(8.4, 6.8), sharex=True, sharey=True)

@@ -90,7 +90,8 @@ def draw_path(
                 color=ORANGE,
                 label=label,
             )
-    axes.set_xlabel(f"{coordinate} of {body} ({shown})")
+    what = "rotation" if coordinate == "angle" else f"displacement {coordinate}"
+    axes.set_xlabel(f"{what} of {body} ({shown})")
     axes.set_ylabel(load_label)
     axes.grid(alpha=0.3)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)

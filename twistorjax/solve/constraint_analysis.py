@@ -26,9 +26,10 @@ def constraint_analysis(
 
     The stiff directions of hinges are taken as rigid, and the others as free. A direction
     of a hinge is stiff if its stiffness is at least the `ratio` times the largest one of
-    the mechanism. Rotational stiffnesses are divided by the square of the characteristic
-    length. For leaves of equal length, the ratio of transverse to axial stiffness is
-    (thickness / length)^2, so that only their axial direction is stiff by default.
+    the mechanism. Rotational stiffnesses are divided by the square of a length: that of
+    the flexure or the characteristic length of the mechanism, the larger one. For leaves
+    of equal length, the ratio of transverse to axial stiffness is (thickness / length)^2,
+    so that only their axial direction is stiff by default.
 
     Args:
         mechanism: The mechanism. It may have bodies without support.

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 
 from .._utils.progress import announced
 from .._utils.types import NumberLike, Pose, Poses
+from .._utils.validation import warn
 from ..mechanism.constraints import AbstractConstraint
-from ..mechanism.loads import Drive, Load
+from ..mechanism.loads import Drive, Load, loaded_bodies
 from ..mechanism.mechanism import Mechanism
 
 # These names are in `tj.solve`, whose stub can only import from files of its own folder.
@@ -89,6 +90,11 @@ def equilibrium(
             "`tolerance` must be between 0 and 1, and `max_steps` at least 1."
         )
     problem = Problem.of(mechanism, loads, drives, constraints, time)
+    if loads and all(map(mechanism.is_fixed, loaded_bodies(mechanism, loads))):
+        warn(
+            "All loads act on fixed bodies, so they have no effect. Give the names of "
+            "bodies that can move."
+        )
     solution = solve(problem, start, tolerance, max_steps)
 
     def first_critical_point() -> str:

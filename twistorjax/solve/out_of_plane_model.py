@@ -382,7 +382,13 @@ class OutOfPlane(eqx.Module):
         np.put_along_axis(dense, np.repeat(dofs[:, None], 3, axis=1), rows, axis=2)
         names = self.names, self.hinge_names
         hinges = HingeStiffness(
-            dense, stiffness, _FORCES, COORDINATES, rotations=(False, True, True)
+            dense,
+            stiffness,
+            _FORCES,
+            COORDINATES,
+            rotations=(False, True, True),
+            # of a leaf with the same stiffness along z and against bending
+            lengths=np.sqrt(12 * stiffness[:, 2, 2] / stiffness[:, 0, 0]),
         )
         return analyze_hinges(*names, hinges, self._free_dofs, float(length), ratio)
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._compile.compilation import fast_compile
+from ..._utils.host import concrete
 from ..._utils.types import Poses
 from ...assembly.assembly import HingeAssembly
 from ...mechanism.mechanism import COORDINATES, Mechanism
@@ -59,7 +60,8 @@ class ConstraintAnalysis(NamedTuple):
         """Sentences such as "motion of 'table', mainly x of 'table'", for each motion."""
         descriptions = []
         for motion, bodies in zip(self.motions, self.moving_bodies, strict=True):
-            body, coordinate = np.unravel_index(np.argmax(np.abs(motion)), motion.shape)
+            sizes = np.round(np.abs(motion), 6)  # of equal ones, rotations come first
+            body, coordinate = np.unravel_index(np.argmax(sizes), motion.shape)
             descriptions.append(
                 f"motion of {', '.join(map(repr, bodies))}, mainly "
                 f"{self.coordinates[coordinate]} of {self.names[body]!r}"
@@ -92,6 +94,7 @@ class HingeStiffness(NamedTuple):
     coordinates: tuple[str, ...]  # Names of the three coordinates of a body
     # Which of the coordinates, of hinges and of bodies, are rotations
     rotations: tuple[bool, ...]
+    lengths: Float[np.ndarray, " hinges"]  # of flexures; 0 if it is not known; m
 
 
 def analyze(
@@ -100,13 +103,31 @@ def analyze(
     """Analyze displacements (rad, m, m) in the plane; see `constraint_analysis`."""
     rows, stiffness = map(np.asarray, _hinge_rows(mechanism.hinge_assembly, state))
     hinges = HingeStiffness(
-        rows, stiffness, _FORCES, COORDINATES, rotations=(True, False, False)
+        rows,
+        stiffness,
+        _FORCES,
+        COORDINATES,
+        rotations=(True, False, False),
+        lengths=flexure_lengths(mechanism.hinge_assembly),
     )
-    length, free = float(system.units()[1]), system.dofs.free
+    free = system.dofs.free
+    length = float(mechanism.hinge_assembly.characteristic_length(free))
     jacobian = np.asarray(system.jacobian(state))
     names = system.constraints.names()
     bodies = mechanism.names, mechanism.hinge_names
     return analyze_hinges(*bodies, hinges, free, length, ratio, jacobian, names)
+
+
+def flexure_lengths(hinges: HingeAssembly) -> Float[np.ndarray, " hinges"]:
+    """Return the length of each flexure; 0 if it is not known; m."""
+    lengths = np.zeros(len(hinges.ends))
+    for group in hinges.groups:
+        for member, row in enumerate(group.members):
+            length = group.of_member(member)[0].flexure_length
+            known = None if length is None else concrete(length)
+            if known is not None:
+                lengths[row] = max(lengths[row], float(known))
+    return lengths
 
 
 def analyze_hinges(
@@ -122,12 +143,15 @@ def analyze_hinges(
     """Find motions and self-stresses of the hinges and of further rigid constraints.
 
     The first names are those of the bodies. The degrees of freedom that can move are
-    `free`, and the length (m) relates rotations and translations. The derivatives of the
-    constraints are in `jacobian`.
+    `free`. The length (m), or that of a flexure if this is larger, relates rotations and
+    translations: the origin of a body may be in the middle of a pivot. The
+    derivatives of the constraints are in `jacobian`.
     """
+    length = length or float(np.max(hinges.lengths)) or 1.0
     rotates = np.array(hinges.rotations)
-    units = np.where(rotates, length, 1.0)
-    scaled = hinges.stiffness / (units[:, None] * units)
+    lengths = np.maximum(hinges.lengths, length)
+    units = np.where(rotates, lengths[:, None], 1.0)
+    scaled = hinges.stiffness / (units[:, :, None] * units[:, None])
     values, vectors = np.linalg.eigh(scaled)
     dofs, total = np.array(free, int), 3 * len(names)
     column_units = np.where(rotates[dofs % 3], 1.0, length)
@@ -136,8 +160,8 @@ def analyze_hinges(
     for k, name in enumerate(hinge_names):
         for value, vector in zip(values[k], vectors[k].T, strict=True):
             if value >= ratio * largest:
-                row = (vector * units) @ hinges.rows[k][:, dofs] * column_units
-                stiff.append(row / length)
+                row = (vector * units[k]) @ hinges.rows[k][:, dofs] * column_units
+                stiff.append(row / lengths[k])
                 force = hinges.forces[np.argmax(np.abs(vector))]
                 directions.append(f"{force} of {name!r}")
     if jacobian is not None:

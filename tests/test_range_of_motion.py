@@ -361,9 +361,7 @@ def test_a_validity_range_that_ends_before_the_stress_is_allowable_is_reported()
     bend = tj.Load("block", moment=0.01)
     narrow = tj.energies.WithValidityRange(leaf(), 0.05, force=1e3, error=[0, 0, 0])
     limited = cantilever(narrow)
-    with pytest.raises(
-        RuntimeError, match=r"On the backward side, a hinge leaves the validity range"
-    ):
+    with pytest.raises(RuntimeError, match=r"backward end .* validity range"):
         tj.range_of_motion(limited, loads=[bend], stress=ALLOWABLE)
     failed = tj.range_of_motion(limited, loads=[bend], stress=ALLOWABLE, throw=False)
     assert not np.any(failed.succeeded) and "out_of_range" in str(failed)

@@ -196,15 +196,15 @@ def range_of_motion(
         warn_outside_linear_range(mechanism, values.range_shares)
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
-        text = f"The {_SIDES[batch_index[-1]]} end was not found. {result_message(item)}"
+        side, text = _SIDES[batch_index[-1]], result_message(item)
         if item == "out_of_range":
             text = (
-                f"On the {_SIDES[batch_index[-1]]} side, a hinge leaves the validity range "
-                "of its energy before an allowable stress is reached. Give a larger "
-                "`safety_factor` or a smaller `stress`, or create the energy for larger "
-                "displacements, for example by `surrogate` or `flexures.chain`."
+                "A hinge leaves the validity range of its energy before an allowable "
+                "stress is reached. Give a larger `safety_factor` or a smaller `stress`, "
+                "or create the energy for larger displacements, for example by "
+                "`surrogate` or `flexures.chain`."
             )
-        return RuntimeError(text)
+        return RuntimeError(f"The {side} end was not found. {text}")
 
     return finish(found, throw, error)
 

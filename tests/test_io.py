@@ -660,7 +660,7 @@ def test_flexures_in_files_may_be_given_by_their_dimensions(tmp_path):
         ("kind", "lef", 'kind` is "lef", but must be one of Quadratic'),
         ("length", "50 mm", 'energy.length` is "50 mm", but must be a number'),
         ("length", -1.0, "`length` is -1, but must be positive"),
-        ("lenght", 1.0, "energy` has the unknown field `lenght`"),
+        ("lenght", 1.0, "field `lenght`. Its fields are 'material', 'length', 'thick"),
         ("theory", "thick", 'theory` is "thick", but must be one of euler-bernoulli'),
     ],
 )

@@ -22,6 +22,7 @@ from typing_extensions import TypeAliasType
 from .._utils.host import as_float
 from .._utils.json_files import describe_value, entry_name, Keys
 from .._utils.types import NumberLike, Point, Scalar
+from .._utils.validation import listing
 from ..energies.axial_spring import AxialSpring
 from ..energies.base import AbstractEnergy, Scaled, Sum
 from ..energies.beam_column import BeamColumn
@@ -293,7 +294,10 @@ def _object(annotation: Any, entry: Entry) -> Any:
     for name in content:
         if name not in layout:
             unknown = entry_name([name])
-            raise ValueError(f"{entry.name} has the unknown field `{unknown}`.")
+            raise ValueError(
+                f"{entry.name} has the unknown field `{unknown}`. Its fields are "
+                f"{listing(layout)}."
+            )
     for name, (_, is_required) in layout.items():
         if is_required and name not in content:
             raise ValueError(f"{entry.name} lacks the field `{name}`.")

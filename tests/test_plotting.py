@@ -612,3 +612,19 @@ def test_rounding_errors_are_not_drawn_as_contours():
     assert panel.get_title() == "axial displacement (m)"
     contours: list[Any] = [c for c in panel.collections if isinstance(c, ContourSet)]
     assert len(contours) == 2 and all(each.zmax == 0 for each in contours)
+
+
+def test_the_names_of_crossing_leaves_are_at_their_own_ends():
+    steel = tj.Material(modulus=210e9, poisson=0.3)
+    leaf = tj.flexures.leaf(steel, length=40e-3, thickness=0.5e-3, width=10e-3)
+    angles = {"right": np.pi / 4, "left": 3 * np.pi / 4}
+    hinges = [
+        tj.Hinge(name, "base", "lever", leaf, at=(angle, 0.0, 0.0))
+        for name, angle in angles.items()
+    ]
+    bodies = [tj.Body("base", (0.0, 0.0, -0.02)), tj.Body("lever", (0.0, 0.0, 0.02))]
+    axes = tj.draw(tj.Mechanism(bodies, hinges, fixed=["base"]))
+    texts: list[Any] = list(axes.texts)
+    anchors = {text.get_text(): text.xy for text in texts}  # mm
+    for name, angle in angles.items():
+        assert_close(anchors[name], 12 * np.array([np.cos(angle), np.sin(angle)]))

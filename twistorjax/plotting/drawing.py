@@ -18,6 +18,7 @@ from .._utils.validation import (
 )
 from ..assembly.assembly import HingeAssembly
 from ..mechanism.constraints import AbstractConstraint
+from ..mechanism.hinge import AbstractOutline
 from ..mechanism.loads import Load
 from ..mechanism.mechanism import Mechanism
 from ..solve.integration.solution import Motion
@@ -43,6 +44,7 @@ from .marks import (
     wrenches_of_loads,
 )
 from .shapes import (
+    center_line_point,
     hinge_frames,
     mechanism_size,
     Shape,
@@ -68,6 +70,7 @@ Colors = TypeAliasType("Colors", Literal["energy", "stress", "angle"] | NamedNum
 
 Part = tuple[str, int]  # "body" or "hinge", and its index in the mechanism
 _MOST_NAMES = 40  # of bodies that are labeled by default
+_SAME_PLACE = 0.1  # distance of the centers of leaves that cross, over their length
 COLORS = {**FILLS, "line": "#7f9fba", "spring": ORANGE}
 
 
@@ -402,10 +405,21 @@ def _label_parts(
 
     labels = Labels.of(axes)
     middle = np.mean(axes.dataLim.intervalx) / unit
+    pairs = [
+        hinge_frames(mechanism, poses, row) for row in range(len(mechanism.hinge_names))
+    ]
+    centers = np.mean(pairs, axis=1)[:, 1:]
     for hinge, name in enumerate(mechanism.hinge_names):
         if name not in labeled:
             continue
-        angle, x, y = np.mean(hinge_frames(mechanism, poses, hinge), axis=0)
+        angle, x, y = np.mean(pairs[hinge], axis=0)
+        outline = mechanism.hinge_outlines[hinge]
+        if outline is not None and not isinstance(outline, AbstractOutline):
+            corners = np.asarray(outline)
+            gaps = np.linalg.norm(centers - [x, y], axis=1)
+            if np.sum(gaps < _SAME_PLACE * np.ptp(corners[:, 0])) > 1:
+                # The names of leaves that cross each other are beside their ends.
+                x, y = center_line_point(*pairs[hinge], corners, 0.8)
         upright = abs(np.sin(angle)) > abs(np.cos(angle))
         inward = -1.0 if x > middle else 1.0
         direction = np.array([inward, 0.0] if upright else [0.0, 1.0])

@@ -250,6 +250,15 @@ def cubic(
     )
 
 
+def center_line_point(
+    first: np.ndarray, second: np.ndarray, outline: np.ndarray, share: float
+) -> np.ndarray:
+    """Return the point at a share of the length of a hinge between two frames; m."""
+    extent = np.array([outline[:, 0].min(), outline[:, 0].max()])
+    along = extent[0] + share * (extent[1] - extent[0])
+    return _deform(first, second, extent, np.array([[along, 0.0]]))[0]
+
+
 def _deform(
     first: np.ndarray, second: np.ndarray, extent: np.ndarray, outline: np.ndarray
 ) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -39,9 +41,11 @@ def warn_if_misplaced(
         pair = [rows[body][0][rows[body][1]] for body in of_bodies]
         if any(body.outline is None for body in pair):
             continue
-        along = np.array([np.cos(angle), np.sin(angle)]) * length / 2
-        tips = np.array(center) - along, np.array(center) + along
-        gaps = [min(_distance(body, tip) for tip in tips) for body in pair]
+        axis = np.array([np.cos(angle), np.sin(angle)])
+        gaps = _gaps(pair, np.array(center), axis * length / 2)
+        if min(gaps) > length:
+            length = _contour_length(hinge) or length
+            gaps = _gaps(pair, np.array(center), axis * length / 2)
         if min(gaps) > length:
             warn(
                 f"The ends of the hinge {hinge.name!r}, of length {length:.4g} m, are "
@@ -49,6 +53,31 @@ def warn_if_misplaced(
                 f"bodies {hinge.first!r} and {hinge.second!r}. Check the pose `at` "
                 "(angle, x, y) of the hinge, whose axis 1 is along its length."
             )
+
+
+def _gaps(
+    bodies: Sequence[Body],
+    center: Float[np.ndarray, "2"],
+    along: Float[np.ndarray, "2"],
+) -> list[float]:
+    """Return the distance of each body from the nearest end of a hinge; m."""
+    tips = center - along, center + along
+    return [min(_distance(body, tip) for tip in tips) for body in bodies]
+
+
+def _contour_length(hinge: Hinge) -> float | None:
+    """Return the length of the contour of a flexure that has no outline; m.
+
+    That of a leaf of the same stiffness, `flexure_length`, is shorter.
+    """
+    model = stress_model(hinge.energy)
+    if hinge.outline is not None or model is None:
+        return None
+    if all_concrete(jax.tree.leaves(eqx.filter(model, eqx.is_array))) is None:
+        return None
+    outline = model.outline()
+    is_curve = outline is None or isinstance(outline, AbstractOutline)
+    return None if is_curve else float(np.ptp(np.asarray(outline)[:, 0]))
 
 
 def _length(hinge: Hinge) -> float | None:
@@ -61,9 +90,6 @@ def _length(hinge: Hinge) -> float | None:
     if hinge.expansion is not None:
         length = concrete(hinge.expansion.length)
         return None if length is None else float(length)
-    if (model := stress_model(hinge.energy)) is not None:
-        corners = concrete(model.outline())
-        return None if corners is None else float(np.ptp(corners[:, 0]))
     length = hinge.energy.flexure_length
     known = None if length is None else concrete(length)
     return None if known is None else float(known)

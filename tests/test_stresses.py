@@ -405,3 +405,18 @@ def test_errors_of_fatigue():
     strong = cantilever(STRONG_LEAF)
     with pytest.raises(ValueError, match="`cycle` has one state"):
         tj.fatigue(strong, tj.equilibrium(strong, loads=[PUSH]))
+
+
+@pytest.mark.slow
+def test_compiled_batches_have_the_derivatives_of_single_equilibria(surrogate):
+    """A compiled program may compute a stress twice with other rounding errors."""
+    mechanism = cantilever(surrogate)
+
+    def stress(force):
+        load = tj.Load("block", moment=0.04, force=(20.0, force))
+        return reported(tj.equilibrium(mechanism, loads=[load], throw=False)).largest[0]
+
+    forces = jnp.linspace(0.5, 0.8, 7)
+    slope = jax.grad(stress)
+    compiled = jax.jit(jax.vmap(slope))(forces)
+    np.testing.assert_allclose(compiled, [slope(f) for f in forces], rtol=1e-9)

@@ -125,3 +125,14 @@ def value_and_jacfwd(
 
     basis = jnp.eye(point.size, dtype=point.dtype)
     return jax.vmap(directional_derivative, out_axes=(None, -1))(basis)
+
+
+def largest_of(values: Array, axis: int = -1) -> Array:
+    """Return the largest values along an axis, with the derivatives of these entries.
+
+    The derivative of `jnp.max` compares the values with their maximum. A compiled program
+    may compute them again with other rounding errors; then none of them is equal, and the
+    derivative is zero or NaN.
+    """
+    index = jnp.argmax(jax.lax.stop_gradient(values), axis=axis, keepdims=True)
+    return jnp.take_along_axis(values, index, axis=axis).squeeze(axis)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._utils.pytrees import largest_of
 from .._utils.types import Poses
 from ..energies.stress_model import (
     AbstractStressModel,
@@ -122,10 +123,17 @@ def largest_stresses(
     hinges: HingeAssembly, displacements: Poses
 ) -> Float[Array, " hinges"]:
     """Compute the largest magnitude of the stress in each hinge (Pa), zero if unknown."""
-    largest = jnp.zeros(len(hinges.ends))
+    found, members = [jnp.zeros(1)], [[0] for _ in hinges.ends]
+    count = 1
     for rows, values in member_stresses(hinges, displacements):
-        largest = largest.at[np.array(rows)].max(jnp.max(jnp.abs(values), axis=1))
-    return largest
+        found.append(largest_of(jnp.abs(values)))
+        for row in rows:
+            members[row].append(count)
+            count += 1
+    # The terms of a sum belong to one hinge. Others have no further member than the zero.
+    width = max(map(len, members))
+    index = np.array([each + (width - len(each)) * [0] for each in members])
+    return largest_of(jnp.concatenate(found)[index])
 
 
 def strengths(hinges: HingeAssembly, name: str) -> Float[Array, " hinges"] | None:

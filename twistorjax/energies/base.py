@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from .._compile.compilation import fast_compile
 from .._utils.host import concrete
 from .._utils.printing import Printed
+from .._utils.pytrees import largest_of
 from .._utils.types import (
     Flag,
     Matrix,
@@ -484,7 +485,7 @@ def range_share(energy: AbstractEnergy, displacement: Displacement) -> Scalar | 
     """
     shares = [part.range_share(displacement) for part in nested(energy)]
     shares = [share for share in shares if share is not None]
-    return jnp.max(jnp.stack(shares)) if shares else None
+    return largest_of(jnp.stack(shares)) if shares else None
 
 
 def validation_error(energy: AbstractEnergy) -> str | None:

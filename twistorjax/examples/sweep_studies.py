@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from .._utils.pytrees import largest_of
 from .._utils.types import NamedNumbers
 from ..results.codes import RESULTS
 from ..results.tables import Column
@@ -49,8 +50,8 @@ def driven_linkage(design: NamedNumbers) -> dict[str, Column | RESULTS]:
     motion = driven_motion(linkage, _TIMES, tolerance=1e-6, throw=False)
     modes = vibrations(linkage, prescribed={"2": ["angle"]}, throw=False)
     return {
-        "travel": Column(jnp.max(jnp.abs(motion.displacement("3")[:, 1])), (), "m"),
-        "moment": Column(jnp.max(jnp.abs(motion.reaction("2")[:, 0])), (), "N m"),
+        "travel": Column(largest_of(jnp.abs(motion.displacement("3")[:, 1])), (), "m"),
+        "moment": Column(largest_of(jnp.abs(motion.reaction("2")[:, 0])), (), "N m"),
         "frequency": Column(modes.frequencies[0], (), "Hz"),
         "result": motion.result,
     }

@@ -380,7 +380,7 @@ def _labeled(mechanism: Mechanism, names: bool | Sequence[str] | None) -> Collec
     parts = [*mechanism.names, *mechanism.hinge_names]
     if names is None:
         names = len(mechanism.names) <= _MOST_NAMES
-    if isinstance(names, bool):
+    if isinstance(names, bool | np.bool_):
         return parts if names else []
     require_names("`names`", names)
     for name in names:

@@ -12,6 +12,7 @@ from typing_extensions import TypeAliasType
 
 from .._utils.host import all_concrete
 from .._utils.progress import announced
+from .._utils.pytrees import largest_of
 from .._utils.types import BatchScalar, Poses, PosesOrResult
 from ..assembly.assembly import HingeAssembly
 from ..assembly.stress import member_stresses, rows_of_points, rows_with_stress, strengths
@@ -51,7 +52,7 @@ class Fatigue(Tabular):
     @property
     def safety_factor(self) -> BatchScalar:
         """Smallest factor by which all stresses may be multiplied, for infinite life."""
-        return 1 / jnp.max(self.utilization)
+        return 1 / largest_of(self.utilization)
 
     def columns(self) -> Columns:
         labels = (("hinge", self.names),)
@@ -137,8 +138,8 @@ def fatigue(mechanism: Mechanism, cycle: CycleLike) -> Fatigue:
         )
     rows = rows_of_points(hinges)
     used = jnp.isfinite(values[:, :1])  # the points of a path in `jax.jit`
-    largest = jnp.max(jnp.where(used, values, -jnp.inf), axis=0)
-    smallest = jnp.min(jnp.where(used, values, jnp.inf), axis=0)
+    largest = largest_of(jnp.where(used, values, -jnp.inf), axis=0)
+    smallest = -largest_of(jnp.where(used, -values, -jnp.inf), axis=0)
     amplitude, mean = (largest - smallest) / 2, (largest + smallest) / 2
     utilization = amplitude / endurance[rows] + jnp.maximum(mean, 0.0) / ultimate[rows]
     limited = np.array(rows_with_stress(hinges, "endurance"))

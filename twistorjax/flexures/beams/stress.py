@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from ..._utils.pytrees import largest_of
 from ..._utils.types import BatchScalar, NumberLike, Scalar, WrenchLike
 from ..._utils.validation import require_length, require_row
 from ...energies.stress_model import Strengths
@@ -39,7 +40,7 @@ def largest_stress(solution: BeamSolution) -> BatchScalar:
         >>> largest_stress(solution) / 1e6  # largest magnitude, here in compression; MPa
         Array(16., dtype=float64)
     """
-    return jnp.max(jnp.abs(solution.stress), axis=(-2, -1))
+    return largest_of(jnp.abs(solution.stress).reshape(*solution.stress.shape[:-2], -1))
 
 
 def leaf_stress(
@@ -134,4 +135,4 @@ def _largest(model: SectionStress, wrench: WrenchLike) -> Scalar:
     moment, axial, transverse = values
     displacement = Displacement.from_pose(jnp.zeros(3))
     stresses = model.surface_stresses(displacement, (moment, axial, transverse))
-    return jnp.max(jnp.abs(stresses))
+    return largest_of(jnp.abs(stresses).reshape(-1))

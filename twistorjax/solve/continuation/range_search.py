@@ -14,7 +14,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..._compile.compilation import fast_compile
-from ..._utils.pytrees import jvp_of_varied, stop_gradient, with_derivative
+from ..._utils.pytrees import (
+    jvp_of_varied,
+    largest_of,
+    stop_gradient,
+    with_derivative,
+)
 from ..._utils.types import Count, Flag, Poses, Scalar
 from ...results.codes import is_success, RESULTS
 from ..equations.load_state import LoadState
@@ -192,7 +197,7 @@ def _excess(
     stresses: Float[Array, " hinges"], allowable: Float[Array, " hinges"]
 ) -> Scalar:
     """Compute the largest ratio of stress and allowable stress, minus 1."""
-    return jnp.max(stresses / allowable) - 1
+    return largest_of(stresses / allowable) - 1
 
 
 def _next_point(

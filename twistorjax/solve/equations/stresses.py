@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._utils.host import all_concrete
+from ..._utils.pytrees import largest_of
 from ..._utils.types import BatchScalar, Flag, Poses
 from ..._utils.validation import index_of
 from ...assembly.assembly import HingeAssembly
@@ -53,7 +54,7 @@ class Stresses(Tabular):
     @property
     def safety_factor(self) -> BatchScalar:
         """Smallest ratio of strength and stress of all hinges."""
-        return 1 / jnp.max(self.utilization, axis=-1)
+        return 1 / largest_of(self.utilization)
 
     def summary(self) -> str:
         """Describe the largest utilization of a hinge in one line."""

@@ -1,10 +1,10 @@
 """Hook of mkdocs: the code of a page draws its figures.
 
 A page shows a figure that its own code saves: `![A guide](guide.svg)`, or
-`<iframe src="../guide.html">`. The file is not kept; the code of the page runs
-while the manual is built. Other pages may show it as well. The figures of a
-page are drawn again if its code or the library has changed. To check the
-links only, set the environment variable `FIGURES` to `empty`.
+`<iframe src="../guide.html">`. The file is not kept; the code of the page
+runs while the manual is built. Other pages may show it as well. The figures
+of a page are drawn again if its code or the library has changed. To check
+the links only, set the environment variable `FIGURES` to `empty`.
 """
 
 import hashlib
@@ -51,8 +51,8 @@ def contents(page: File, names: list[str]) -> dict[str, bytes]:
     for name in names:
         if not (folder / name).exists():
             raise FileNotFoundError(
-                f"{page.src_uri} shows {name}, but its code does not save this "
-                "figure."
+                f"{page.src_uri} shows {name}, but its code does not save "
+                "this figure."
             )
     return {name: (folder / name).read_bytes() for name in names}
 
@@ -62,7 +62,8 @@ def figures_of(page: File) -> list[str]:
     if not page.src_uri.endswith(".md"):
         return []
     shown = re.findall(
-        r"!\[[^]]*\]\(([\w-]+\.(?:svg|gif))\)|<iframe src=\"../([\w-]+\.html)\"",
+        r"!\[[^]]*\]\(([\w-]+\.(?:svg|gif))\)"
+        r'|<iframe src="../([\w-]+\.html)"',
         page.content_string,
     )
     shown = [figure or frame for figure, frame in shown]

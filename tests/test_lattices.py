@@ -284,6 +284,21 @@ def test_band_gaps_are_drawn_between_the_bands():
         tj.plotting.draw_dispersion(two_masses(1.0, 1))
 
 
+def test_corners_of_the_path_are_marked_at_their_wave_vectors():
+    cell = tj.lattices.rotating_squares(
+        tj.Quadratic(np.diag([1.5e-3, 1.2e5, 1.2e3])), pitch=0.1, angle=0.4, mass=1e-3
+    )
+    waves = cell.wave_vectors([(0, 0), (0.5, 0), (0.5, 0.5), (0, 0)], 4)
+    bands = tj.dispersion(cell, waves, modes=1)
+    axes = tj.plotting.draw_dispersion(bands, corners=["Γ", "X", "M", "Γ"])
+    edge = np.pi / 0.2  # of a cell of two pitches; rad/m
+    places = edge * np.array([0.0, 1.0, 2.0, 2.0 + np.sqrt(2)])
+    assert_close(np.array(axes.get_xticks()), places, digits=9)
+    plt.close("all")
+    with pytest.raises(ValueError, match="3 names, but the path has 4 corners"):
+        tj.plotting.draw_dispersion(bands, corners=["Γ", "X", "M"])
+
+
 def stretched_string(strain):
     """Return a row of masses on bars that cannot bend, and its stretched state."""
     bar = tj.energies.AxialSpring(100.0, length=PITCH)

@@ -133,6 +133,54 @@ def test_flexures_without_outlines_are_drawn_by_their_contours():
         np.testing.assert_allclose(np.ptp(corners, axis=0), [length, height], rtol=1e-4)
 
 
+def between_two_bodies(energy, at=(0.0, 50.0, 0.0)):
+    bodies = [tj.Body("a"), tj.Body("b", (0.0, 0.1, 0.0))]
+    hinge = tj.Hinge("h", "a", "b", energy, at=(at[0], 1e-3 * at[1], 1e-3 * at[2]))
+    return tj.Mechanism(bodies, [hinge], fixed=["a"])
+
+
+def test_an_actuator_is_drawn_with_its_dimensions_and_pushes_its_body():
+    size: dict[str, float] = {"length": 18e-3, "width": 5e-3}
+    stack = tj.flexures.piezo_stack(free_stroke=15e-6, blocking_force=800.0, **size)
+    mechanism = between_two_bodies(stack)
+    (corners,) = polygons(tj.draw(mechanism, names=False))[2:]
+    np.testing.assert_allclose(np.ptp(corners, axis=0), [18.0, 5.0])
+    driven = mechanism.with_strokes({"h": (0.0, 15e-6, 0.0)})
+    axes = tj.draw(driven, tj.equilibrium(driven), magnify=100, reference=False)
+    (corners,) = polygons(axes)[2:]
+    np.testing.assert_allclose(np.ptp(corners, axis=0), [18.0 + 1.5, 5.0])
+
+
+def test_a_stiffness_that_is_not_that_of_a_slender_beam_is_drawn_as_a_spring():
+    for diagonal in ([1e-3, 1e4, 1e4], [1e3, 1e9, 1e4]):  # a block; longer than 0.1 m
+        drawn = polygons(tj.draw(between_two_bodies(tj.Quadratic(np.diag(diagonal)))))
+        np.testing.assert_allclose(drawn[-1][0], [50.0, 0.0], atol=1e-9)
+        assert np.all(np.ptp(drawn[-1], axis=0) < 10.0)
+
+
+@pytest.mark.parametrize(
+    ("direction", "gap", "step"),
+    [
+        ("+y", 2e-3, (0.0, 0.0, 2e-3)),
+        ("-x", 3e-3, (0.0, -3e-3, 0.0)),
+        ("-angle", 0.2, (-0.2, 0.0, 0.0)),
+    ],
+)
+def test_the_faces_of_a_stop_meet_where_its_gap_is_closed(direction, gap, step):
+    stop = tj.energies.Stop(direction, gap=gap, stiffness=1e6, smoothing=1e-5)
+    mechanism = between_two_bodies(stop, at=(0.3, 100.0, 0.0))
+    reached = np.array(mechanism.reference)
+    along = np.array([np.cos(0.3), np.sin(0.3)])  # axis 1 of the hinge
+    across = np.array([-along[1], along[0]])
+    reached[1] += [step[0], *(step[1] * along + step[2] * across)]
+    apart, closed = (
+        polygons(tj.draw(mechanism, poses, reference=False))[-2:]
+        for poses in (None, reached)
+    )
+    np.testing.assert_allclose(closed[0], closed[1], atol=1e-9)
+    assert np.max(np.abs(apart[0] - apart[1])) > 0.1
+
+
 def test_all_names_or_some_can_be_left_out():
     mechanism = stage.microstage()
     assert not tj.draw(mechanism, names=False).texts
@@ -361,7 +409,7 @@ def test_frames_of_bodies_and_hinges_can_be_drawn():
     linkage = four_bar.four_bar()
     axes = tj.draw(linkage, frames=True)
     assert len(arrows(axes, "BLUE")) == 2 * 4  # two axes of each body
-    assert len(arrows(axes, "ORANGE")) == 2 * 2 * 4  # two axes of both frames of a hinge
+    assert len(arrows(axes, "BROWN")) == 2 * 2 * 4  # two axes of both frames of a hinge
 
 
 @pytest.mark.parametrize(

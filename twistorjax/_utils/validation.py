@@ -196,6 +196,11 @@ def require_kind(name: str, values: Iterable[Any], kind: type[Kind]) -> tuple[Ki
     """Require a sequence of instances of one class; a single instance is rejected."""
     if isinstance(values, kind):
         raise ValueError(f"`{name}` is one {kind.__name__}: put it in a list, [...].")
+    if not isinstance(values, Iterable):
+        raise ValueError(
+            f"`{name}` is {quote(values)}, but must be a list of objects of the class "
+            f"{kind.__name__}."
+        )
     return tuple(
         require_instance(f"{name}[{index}]", value, kind)
         for index, value in enumerate(values)

@@ -10,6 +10,8 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
+from .._utils.html import page
+from .._utils.progress import activity
 from .common import (
     check_page,
     load_mechanism,
@@ -18,24 +20,6 @@ from .common import (
     reporting_errors,
 )
 from .solve import DriveOption, inputs, LoadOption
-
-
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
-<title>{title}</title>
-<style>
-:root {{ color-scheme: light dark; }}
-body {{ font: 16px/1.5 sans-serif; max-width: 52rem; }}
-body {{ margin: 2rem auto; padding: 0 1rem; }}
-pre {{ overflow-x: auto; font-size: 13px; }}
-svg {{ max-width: 100%; height: auto; background: white; border-radius: 6px; }}
-</style>
-<h1>{title}</h1>
-{sections}
-</html>
-"""
 
 
 class Section(NamedTuple):
@@ -65,17 +49,16 @@ def report(
     prepare_jax()
     model = load_mechanism(mechanism)
     sections = _sections(model, *inputs(load, drive))
+    title = Path(mechanism).stem
     # Most of the time is compilation, for which two processors are used.
-    with ThreadPoolExecutor(2) as pool:
+    with activity(f"report on {title}"), ThreadPoolExecutor(2) as pool:
         found = pool.map(_computed, sections)
         parts = [
             _html(section, *each) for section, each in zip(sections, found, strict=True)
         ]
-    title = escape(Path(mechanism).stem)
+    body = "\n".join([f"<h1>{escape(title)}</h1>", *parts])
     with reporting_errors("--out cannot be written: "):
-        out.write_text(
-            _PAGE.format(title=title, sections="\n".join(parts)), encoding="utf-8"
-        )
+        out.write_text(page(title, body), encoding="utf-8")
     print(f"saved to {out}")
 
 

@@ -247,8 +247,7 @@ def _vibration_frames(
     amplitude = magnify * _AMPLITUDE * mechanism_size(mechanism) / (1e6 * largest or 1.0)
     count = min(_FRAMES_PER_PERIOD, frames)
     phases = np.sin(2 * np.pi * np.arange(count) / count)
-    number = mode % len(frequencies) + 1
-    title = f"mode {number}: {frequencies[mode]:.5g} Hz, arbitrary amplitude"
+    title = f"vibration at {frequencies[mode]:.5g} Hz, arbitrary amplitude"
     poses = reference + amplitude * phases[:, None, None] * shape
     return _Frames(poses, count * [title], 2000 / count)
 

@@ -27,6 +27,7 @@ from ..solve.statics.solution import Equilibrium
 from ..solve.stresses import stresses
 from ..solve.vibration_results import Vibrations
 from .figure_style import (
+    BROWN,
     FILLS,
     GRAY,
     GREEN,
@@ -70,6 +71,7 @@ Colors = TypeAliasType("Colors", Literal["energy", "stress", "angle"] | NamedNum
 
 Part = tuple[str, int]  # "body" or "hinge", and its index in the mechanism
 _MOST_NAMES = 40  # of bodies that are labeled by default
+_NARROW = 0.25  # smallest ratio of the sides of a figure
 _SAME_PLACE = 0.1  # distance of the centers of leaves that cross, over their length
 COLORS = {**FILLS, "line": "#7f9fba", "spring": ORANGE}
 
@@ -93,8 +95,10 @@ def draw(
 
     Bodies and hinges are drawn by their outlines. A body without an outline is drawn as
     lines from its origin to its hinges. A hinge without an outline is drawn by its
-    contour, if it is a flexure that was created from dimensions; otherwise as a spiral
-    spring, and an `AxialSpring` as a zigzag line between its ends.
+    contour, if it is a flexure that was created from dimensions, and as the beam with its
+    stiffness, if this is a diagonal `Quadratic` as that of a `piezo_stack`. An
+    `AxialSpring` is drawn as a zigzag line between its ends, a `Stop` by the two faces
+    that meet where its gap is closed, and any other hinge as a spiral spring.
 
     Args:
         mechanism: The mechanism.
@@ -170,6 +174,7 @@ def draw(
     _label_parts(axes, mechanism, drawn_poses, unit, labeled)
     axes.set_aspect("equal")
     axes.autoscale_view()
+    _widen(axes)
     axes.set_xlabel(f"x ({unit_name})")
     axes.set_ylabel(f"y ({unit_name})")
     if magnify != 1:
@@ -183,8 +188,18 @@ def draw(
 def figure_size(corners: np.ndarray, color_bar: bool = False) -> tuple[float, float]:
     """Return the size (inches) of a figure that a drawing with these corners fills."""
     width, height = np.ptp(corners, axis=0)
-    ratio = np.clip(height / width if width else 2.0, 0.25, 1.2)
-    return 7.0 + 0.8 * color_bar, float(6.0 * ratio + 1.0)
+    ratio = np.clip(height / width if width else 1 / _NARROW, _NARROW, 1 / _NARROW)
+    scale = min(6.0, 5.5 / ratio)
+    return float(scale + 1.0 + 0.8 * color_bar), float(scale * ratio + 1.0)
+
+
+def _widen(axes: "Axes") -> None:
+    """Widen axes of equal scale that have no room for the numbers on one of them."""
+    limits = {"x": np.array(axes.get_xlim()), "y": np.array(axes.get_ylim())}
+    least = _NARROW * max(np.ptp(both) for both in limits.values())
+    for name, both in limits.items():
+        if (missing := least - np.ptp(both)) > 0:
+            axes.set(**{f"{name}lim": both + missing * np.array([-0.5, 0.5])})
 
 
 def draw_reference(mechanism: Mechanism, axes: "Axes") -> None:
@@ -368,7 +383,8 @@ def color_bar(
     # The lightest colors are left out, because they are hard to see on white.
     dark = ListedColormap(colormaps["plasma"](np.linspace(0, 0.88, 256)))
     scale = ScalarMappable(Normalize(low, numbers.max()), dark)
-    axes.figure.colorbar(scale, ax=axes, label=label, shrink=0.8)
+    ticks = None if numbers.max() > low else [low]
+    axes.figure.colorbar(scale, ax=axes, label=label, shrink=0.8, ticks=ticks)
     return [
         {part: tuple(map(float, rgba)) for part, rgba in zip(values, colors, strict=True)}
         for colors in (scale.to_rgba(row) for row in numbers)
@@ -424,7 +440,7 @@ def _label_parts(
         inward = -1.0 if x > middle else 1.0
         direction = np.array([inward, 0.0] if upright else [0.0, 1.0])
         center = unit * np.array([x, y])
-        labels.add(name, center, direction, color="#8c3b00", fontstyle="italic", zorder=5)
+        labels.add(name, center, direction, color=BROWN, fontstyle="italic", zorder=5)
     for name, pose, outline in zip(
         mechanism.names, poses, mechanism.outlines, strict=True
     ):

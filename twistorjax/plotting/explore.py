@@ -4,7 +4,6 @@ import base64
 import json
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -16,6 +15,7 @@ from jaxtyping import Float
 from typing_extensions import TypeAliasType
 
 from .._compile.compilation import fast_compile
+from .._utils.html import page
 from .._utils.types import NumberLike
 from .._utils.validation import (
     quote,
@@ -37,23 +37,11 @@ _POSITIONS = 40  # of a curve. The same program solves them and the design that 
 _MOST_STATES = 20_000  # of a page
 _STEPS = 32_000  # of the coordinates in a page, which are whole numbers of 16 bits
 _SCRIPT = Path(__file__).with_name("explore.js")
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
-<title>{title}</title>
-<style>
-:root {{ color-scheme: light dark; }}
-body {{ font: 16px/1.5 sans-serif; max-width: 64rem; }}
-body {{ margin: 1rem auto; padding: 0 1rem; }}
-</style>
-<div id="explorer"></div>
+_BODY = """<div id="explorer"></div>
 <script type="module">
 {script}
 render({{ model: tableOf({data}), el: document.getElementById("explorer") }});
-</script>
-</html>
-"""
+</script>"""
 
 # Function of a mechanism and its equilibrium
 Curve = TypeAliasType("Curve", Callable[[Mechanism, Equilibrium], NumberLike])
@@ -232,8 +220,8 @@ class Explorer:
         }
         text = json.dumps(data, allow_nan=False).replace("</", "<\\/")
         script = _SCRIPT.read_text(encoding="utf-8")
-        page = _PAGE.format(title=escape(path.stem), script=script, data=text)
-        path.write_text(page, encoding="utf-8")
+        body = _BODY.format(script=script, data=text)
+        path.write_text(page(path.stem, body), encoding="utf-8")
 
     def _repr_mimebundle_(self, **options: Any) -> Any:
         return self.widget._repr_mimebundle_(**options)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 # Colors that color-blind readers can distinguish: Okabe and Ito, Color Universal Design,
 # 2008.
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e08214", "#009e73", "#d55e00"
-DARK_BLUE, GRAY, BLACK = "#1b4965", "#8a8a8a", "#202020"
+DARK_BLUE, BROWN, GRAY, BLACK = "#1b4965", "#8c3b00", "#8a8a8a", "#202020"
 # Fill colors of the parts of a mechanism that have an outline; see `Shape.kind`.
 FILLS = {"body": "#b8cfe3", "fixed": "#d5d5d5", "hinge": ORANGE}
 

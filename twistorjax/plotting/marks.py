@@ -8,7 +8,7 @@ import numpy as np
 from ..mechanism.constraints import AbstractConstraint, Pin, Slider
 from ..mechanism.loads import Load, loaded_bodies
 from ..mechanism.mechanism import Mechanism
-from .figure_style import BLACK, BLUE, ORANGE, prefixed_unit
+from .figure_style import BLACK, BLUE, BROWN, prefixed_unit
 from .shapes import attached_frame, hinge_frames, mechanism_size, to_world
 
 
@@ -45,7 +45,7 @@ def mark_frames(
         _mark_frame(axes, pose, _FRAME * size, unit, BLUE)
     for hinge in range(len(mechanism.hinge_names)):
         for frame in hinge_frames(mechanism, poses, hinge):
-            _mark_frame(axes, frame, 0.6 * _FRAME * size, unit, ORANGE)
+            _mark_frame(axes, frame, 0.6 * _FRAME * size, unit, BROWN)
 
 
 def _mark_frame(
@@ -61,10 +61,9 @@ def wrenches_of_loads(
     mechanism: Mechanism, poses: np.ndarray, loads: Sequence[Load], color: str
 ) -> Wrenches:
     """Compute the wrenches of loads in world axes, at the points of application."""
-    points, wrenches = np.zeros((len(loads), 2)), np.zeros((len(loads), 3))
-    for row, (body, load) in enumerate(
-        zip(loaded_bodies(mechanism, loads), loads, strict=True)
-    ):
+    bodies = loaded_bodies(mechanism, loads)
+    points, wrenches = np.zeros((len(bodies), 2)), np.zeros((len(bodies), 3))
+    for row, (body, load) in enumerate(zip(bodies, loads, strict=True)):
         moment, *force = np.asarray(load.wrench)
         rotation = np.array([poses[body][0] if load.follower else 0.0, 0.0, 0.0])
         points[row] = to_world(poses[body], np.asarray(load.at)[None])[0]

@@ -78,7 +78,7 @@ def draw_out_of_plane(
     largest = max(np.max(np.abs(values)) for values in heights)
     factor = magnify
     if factor is None:
-        factor = _AMPLITUDE * size / (largest or 1.0)
+        factor = float(f"{_AMPLITUDE * size / (largest or 1.0):.1g}")
     drawn = oblique(flat, heights, factor)
     unit, unit_name = length_unit(size)
     if axes is None:
@@ -130,9 +130,8 @@ def drawn_displacements(
             f"`mode` is {quote(mode)}, but there are {len(frequencies)} vibrations: give "
             f"an index from 0 to {len(frequencies) - 1}."
         )
-    number = mode % len(frequencies) + 1
-    title = f"mode {number} out of the plane: {frequencies[mode]:.5g} Hz"
-    return poses, np.asarray(found.shapes)[mode], f"{title}, arbitrary amplitude"
+    title = f"vibration at {frequencies[mode]:.5g} Hz, arbitrary amplitude"
+    return poses, np.asarray(found.shapes)[mode], title
 
 
 def vibration_shapes(

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..sweeps.optimization.optimum import Optimum
-from .figure_style import DARK_BLUE, GRAY, ORANGE, RED, subplots
+from .figure_style import DARK_BLUE, GRAY, ORANGE, prefixed_unit, RED, subplots
 
 
 if TYPE_CHECKING:
@@ -75,6 +75,9 @@ def _draw_searches(right: "Axes", optimum: Optimum) -> None:
     from matplotlib.ticker import MaxNLocator
 
     objectives = np.asarray(optimum.searches.objectives)
+    shown = np.abs(objectives[np.isfinite(objectives)])
+    factor, unit = prefixed_unit(optimum.unit, np.max(shown, initial=0.0))
+    objectives = factor * objectives
     found = np.array([code == 0 for code in optimum.searches.results])
     order = np.lexsort(((-1 if optimum.maximized else 1) * objectives, ~found))
     ranks = np.arange(1, len(order) + 1)
@@ -84,7 +87,7 @@ def _draw_searches(right: "Axes", optimum: Optimum) -> None:
         label = "no optimum within all limits"
         right.plot(ranks[~converged], values[~converged], "x", color=GRAY, label=label)
         right.legend()
-    unit = f" ({optimum.unit})" if optimum.unit not in ("", "1") else ""
+    unit = f" ({unit})" if unit not in ("", "1") else ""
     right.set_xlabel("search, the best one first")
     right.set_ylabel(f"{optimum.name}{unit} at its end")
     right.grid(alpha=0.3)

@@ -13,8 +13,12 @@ import numpy as np
 from .._utils.stacking import PerPart
 from .._utils.types import Corners, Pose
 from ..energies.axial_spring import AxialSpring
+from ..energies.base import AbstractEnergy
+from ..energies.contact import Stop
+from ..energies.quadratic import Quadratic
 from ..energies.stress_model import stress_model
 from ..flexures.condensed import drawn_displacements
+from ..flexures.leaf import leaf_outline
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.sub_mechanism import SubMechanism
 
@@ -23,6 +27,7 @@ from ..mechanism.sub_mechanism import SubMechanism
 # from the origins of bodies to their hinges
 _SPRING_RADIUS, _SPRING_SHARE = 0.015, 0.15
 _WINDINGS = 8  # of the zigzag line of an axial spring
+_SLENDER = 2.0  # smallest ratio of length and thickness of a quadratic energy's beam
 
 
 class Shape(NamedTuple):
@@ -31,7 +36,8 @@ class Shape(NamedTuple):
     # "body" is a body with an outline, and "fixed" is one whose three coordinates are
     # fixed. "line" is a line from the origin of a body without an outline to one of its
     # hinges. "hinge" is a hinge with an outline, and "spring" is a hinge without one: a
-    # zigzag line between the ends of an `AxialSpring`, otherwise a spiral.
+    # zigzag line between the ends of an `AxialSpring`, the two faces of a `Stop`, and
+    # otherwise a spiral.
     kind: Literal["body", "fixed", "line", "hinge", "spring"]
     corners: np.ndarray  # Corners in world coordinates; m
     row: int  # Index of the body or hinge in the mechanism
@@ -69,19 +75,38 @@ def mechanism_size(mechanism: Mechanism) -> float:
 
 
 def with_flexure_outlines(mechanism: Mechanism) -> Mechanism:
-    """Give an outline to the hinges without one that were created from dimensions."""
-    outlines = list(mechanism.hinge_outlines.on_host())
+    """Give an outline to the flexures without one.
+
+    It is the contour of a flexure that was created from dimensions, and the beam with the
+    stiffness of another quadratic energy, unless it is longer than the mechanism.
+    """
+    outlines, size = list(mechanism.hinge_outlines.on_host()), mechanism_size(mechanism)
     for group in mechanism.hinge_assembly.groups:
-        if stress_model(group.energy) is None:
+        is_quadratic = isinstance(group.energy, Quadratic)
+        if not is_quadratic and stress_model(group.energy) is None:
             continue
         for member, row in enumerate(group.members):
             if outlines[row] is None:
-                model = stress_model(group.of_member(member)[0])
-                assert model is not None
-                outlines[row] = model.outline()
+                outlines[row] = _flexure_outline(group.of_member(member)[0], size)
     return eqx.tree_at(
         lambda new: new.hinge_outlines, mechanism, PerPart.of_each(outlines)
     )
+
+
+def _flexure_outline(energy: AbstractEnergy, longest: float) -> Corners | None:
+    """Return the contour of a flexure, or of the beam with a diagonal stiffness; m."""
+    if (model := stress_model(energy)) is not None:
+        return model.outline()
+    assert isinstance(energy, Quadratic)
+    stiffness = np.asarray(energy.stiffness)
+    diagonal = np.diagonal(stiffness)
+    if np.any(diagonal <= 0) or np.any(stiffness != np.diag(diagonal)):
+        return None
+    # A beam has the stiffness E I / L, E A / L, 12 E I / L^3, and I / A is h^2 / 12.
+    thickness, length = np.sqrt(12 * diagonal[0] / diagonal[1:])
+    if not _SLENDER * thickness <= length <= longest:
+        return None
+    return leaf_outline(length=length, thickness=thickness)
 
 
 def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
@@ -96,7 +121,7 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
     arms = np.linalg.norm(np.asarray(mechanism.hinge_assembly.arms), axis=-1)
     radius = _SPRING_RADIUS * mechanism_size(mechanism)
     radius = min(radius, _SPRING_SHARE * float(np.median(arms)) or radius)
-    spiral = radius * _unit_spiral()
+    spiral, stops = radius * _unit_spiral(), _stops(mechanism)
     for hinge, (ends, outline) in enumerate(
         zip(
             mechanism.hinge_assembly.ends,
@@ -121,7 +146,11 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
             if outlines[body] is None:
                 (tip,) = to_world(frame, np.array([[end, _axis_at(corners, end)]]))
                 lines.append(Shape("line", np.stack([poses[body][1:], tip]), body))
-        if outline is None and half > 0:
+        if outline is None and hinge in stops:
+            pairs = zip(frames, _faces(stops[hinge], radius), strict=True)
+            faces = [to_world(frame, face) for frame, face in pairs]
+            hinges += [Shape("spring", face, hinge) for face in faces]
+        elif outline is None and half > 0:
             first, second = (
                 to_world(frame, end[None])[0]
                 for frame, end in zip(frames, ends_on_axis, strict=True)
@@ -216,6 +245,31 @@ def _half_lengths(mechanism: Mechanism) -> np.ndarray:
             halves[list(group.members)] = np.asarray(group.energy.length) / 2
     has_outline = ~mechanism.hinge_outlines.is_none()
     return np.where(has_outline | ~hinges.sums.is_none(), 0.0, halves)
+
+
+def _stops(mechanism: Mechanism) -> dict[int, Stop]:
+    """Return the hinges that are a stop and nothing else, by their indices."""
+    return {
+        row: energy
+        for group in mechanism.hinge_assembly.groups
+        if isinstance(group.energy, Stop)
+        for member, row in enumerate(group.members)
+        if isinstance(energy := group.of_member(member)[0], Stop)
+        and mechanism.hinge_assembly.sums[row] is None
+    }
+
+
+def _faces(stop: Stop, radius: float) -> list[np.ndarray]:
+    """Return the faces of a stop in the frames on body A and on body B; m.
+
+    They meet where the gap is closed.
+    """
+    gap = float(stop.gap) * (1.0 if stop.direction[0] == "+" else -1.0)
+    if stop.direction[1:] == "angle":
+        directions = np.stack([np.cos([gap, 0.0]), np.sin([gap, 0.0])], axis=1)
+        return [3 * radius * np.outer([0.0, 1.0], tip) for tip in directions]
+    normal, face = np.eye(2) if stop.direction[1:] == "x" else np.eye(2)[::-1]
+    return [place * normal + np.outer([-radius, radius], face) for place in (gap, 0.0)]
 
 
 def _zigzag(first: np.ndarray, second: np.ndarray, radius: float) -> np.ndarray:

@@ -1,33 +1,43 @@
 """Plots of the waves in a lattice."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..solve.dispersion import Dispersion
-from .figure_style import DARK_BLUE, new_axes, ORANGE, prefixed_unit
+from .figure_style import DARK_BLUE, GRAY, new_axes, ORANGE, prefixed_unit
 
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_SAME_DIRECTION = 1e-6  # largest difference of the unit vectors of steps in line
 
-def draw_dispersion(dispersion: Dispersion, axes: "Axes | None" = None) -> "Axes":
+
+def draw_dispersion(
+    dispersion: Dispersion,
+    axes: "Axes | None" = None,
+    *,
+    corners: Sequence[str] = (),
+) -> "Axes":
     """Draw the frequencies of waves over a path of wave vectors, and the band gaps.
 
     A band gap is a range of frequencies that none of the given waves has. Between them,
-    bands may touch.
+    bands may touch. A vertical line marks each corner of the path.
 
     Args:
         dispersion: Result of `dispersion` for a path, such as `UnitCell.wave_vectors`.
         axes: Axes to draw on. By default new ones are created.
+        corners: Names of the corners, with both ends, such as ["Γ", "X", "M", "Γ"].
 
     Returns:
-        The axes. The abscissa is the length of the path; rad/m.
+        The axes. The abscissa is the length of the path (rad/m), or the named corners.
 
     Raises:
         ImportError: Matplotlib is not installed.
-        ValueError: This is a batch, or there is only one wave vector.
+        ValueError: This is a batch, there is only one wave vector, or the path has
+            another number of corners.
 
     Example:
         >>> import numpy as np
@@ -35,7 +45,9 @@ def draw_dispersion(dispersion: Dispersion, axes: "Axes | None" = None) -> "Axes
         >>> joint = tj.Quadratic(np.diag([1.5e-3, 1.2e5, 1.2e3]))
         >>> cell = tj.lattices.rotating_squares(joint, pitch=0.1, angle=0.4, mass=1e-3)
         >>> waves = cell.wave_vectors([(0, 0), (0.5, 0), (0.5, 0.5), (0, 0)], 10)
-        >>> draw_dispersion(tj.dispersion(cell, waves)).get_ylabel()
+        >>> bands = tj.dispersion(cell, waves)
+        >>> axes = draw_dispersion(bands, corners=["Γ", "X", "M", "Γ"])
+        >>> axes.get_ylabel()
         'frequency (kHz)'
     """
     if dispersion.frequencies.ndim != 2 or len(dispersion.frequencies) < 2:
@@ -44,8 +56,17 @@ def draw_dispersion(dispersion: Dispersion, axes: "Axes | None" = None) -> "Axes
             "must be those of one lattice for two wave vectors or more."
         )
     frequencies = np.asarray(dispersion.frequencies)
-    steps = np.linalg.norm(np.diff(np.asarray(dispersion.wave_vectors), axis=0), axis=1)
-    path = np.concatenate([[0.0], np.cumsum(steps)])
+    steps = np.diff(np.asarray(dispersion.wave_vectors), axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    path = np.concatenate([[0.0], np.cumsum(lengths)])
+    directions = steps / np.where(lengths, lengths, 1.0)[:, None]
+    turns = np.linalg.norm(np.diff(directions, axis=0), axis=1) > _SAME_DIRECTION
+    places = np.array([path[0], *path[1:-1][turns], path[-1]])
+    if len(corners) not in (0, len(places)):
+        raise ValueError(
+            f"`corners` has {len(corners)} names, but the path has {len(places)} corners "
+            "with both of its ends."
+        )
     factor, unit = prefixed_unit("Hz", float(np.nanmax(frequencies)))
     axes = new_axes((6.0, 4.5)) if axes is None else axes
     axes.plot(path, factor * frequencies, color=DARK_BLUE)
@@ -54,8 +75,12 @@ def draw_dispersion(dispersion: Dispersion, axes: "Axes | None" = None) -> "Axes
     for low, high in zip(factor * below, factor * lowest[1:], strict=True):
         if high > low:
             axes.axhspan(low, high, color=ORANGE, alpha=0.25, linewidth=0)
+    for place in places[1:-1]:
+        axes.axvline(place, color=GRAY, linewidth=0.8)
     axes.set_xlim(0.0, float(path[-1]))
     axes.set_ylim(bottom=0.0)
-    axes.set_xlabel("path of the wave vector (rad/m)")
+    if corners:
+        axes.set_xticks(places, corners)
+    axes.set_xlabel("wave vector" if corners else "path of the wave vector (rad/m)")
     axes.set_ylabel(f"frequency ({unit})")
     return axes

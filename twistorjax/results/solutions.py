@@ -10,6 +10,7 @@ from .codes import Solution
 from .tables import cells, Column, Columns, columns, Tabular
 
 
+_ROUNDING = 1e-14  # of displacements, relative to the largest one
 _WRENCH = ("moment", "N m"), ("force_x", "N"), ("force_y", "N")
 
 
@@ -156,6 +157,10 @@ class PoseSolution(BodySolution, BodyPoses):
     def _listed(self, title: str, head: str, rows: np.ndarray) -> str:
         """Return a title and a line for each body, at most 20 of them."""
         width = max(map(len, (*self.names, head)))
+        # Angles or translations that are tiny beside the others are rounding errors.
+        largest = np.abs(np.nan_to_num(rows)).max(axis=0, initial=0.0)
+        largest[1:] = largest[1:].max()
+        rows = np.where(np.abs(rows) < _ROUNDING * largest, 0.0, rows)
         lines = [f"{head:<{width}}  {'angle (rad)':>13}  {'x (m)':>13}  {'y (m)':>13}"]
         for name, values in zip(self.names, rows, strict=True):
             lines.append(f"{name:<{width}}  {'  '.join(cells(values))}")

@@ -89,16 +89,23 @@ class RangeOfMotion(PoseSolution):
 
     def _summary(self, names: np.ndarray) -> str:
         values = map(
-            np.asarray, (self.factors, self.by_stress, self.stresses.utilization)
+            np.asarray,
+            (
+                self.factors,
+                self.by_stress,
+                self.stresses.utilization,
+                self.displacements,
+            ),
         )
-        lines = ["side      factor of the input  limit"]
-        for side, name, factor, by_stress, utilization in zip(
+        lines = ["side      factor of the input  largest translation (m)  limit"]
+        for side, name, factor, by_stress, utilization, displacements in zip(
             _SIDES, names, *values, strict=True
         ):
             hinge = self.stresses.names[int(np.argmax(utilization))]
             limit = f"stress in {hinge!r}" if by_stress else "stability"
             shown = limit if name == "successful" else name
-            lines.append(f"{side:<8}  {factor:>19.6g}  {shown}")
+            travel = np.max(np.linalg.norm(displacements[:, 1:], axis=1))
+            lines.append(f"{side:<8}  {factor:>19.6g}  {travel:>23.6g}  {shown}")
         return "\n".join(lines)
 
 
@@ -162,9 +169,9 @@ def range_of_motion(
         >>> mechanism = tj.Mechanism(bodies, [hinge], fixed=["wall"])
         >>> moment = tj.Load("block", moment=0.05)
         >>> range_of_motion(mechanism, loads=[moment], stress=300e6)
-        side      factor of the input  limit
-        backward                 -2.5  stress in 'leaf'
-        forward                   2.5  stress in 'leaf'
+        side      factor of the input  largest translation (m)  limit
+        backward                 -2.5               0.00705946  stress in 'leaf'
+        forward                   2.5               0.00705946  stress in 'leaf'
     """
     if not loads and not drives and not strokes:
         raise ValueError("The input is empty. Give `loads`, `drives`, or `strokes`.")

@@ -63,8 +63,14 @@ class Vibrations(Solution, Tabular):
             largest = [body for body in np.argsort(-travel)[:3] if travel[body] > 0]
             moving = ", ".join(self.names[body] for body in largest) or "rotations only"
             lines.append(f"{float(frequency):>14.6g}  {moving}")
-        lowest = None if self.source is None else self.source.lowest_out_of_plane()
-        if lowest is not None and lowest < float(self.frequencies[-1]):
+        if self.source is None:
+            return "\n".join(lines)
+        lowest = self.source.lowest_out_of_plane()
+        if lowest is None:
+            lines.append(
+                "Those out of the plane are unknown; `out_of_plane(mechanism)` says why."
+            )
+        elif lowest < float(self.frequencies[-1]):
             lines.append(
                 f"It vibrates out of the plane from {lowest:.6g} Hz on: "
                 "`out_of_plane(mechanism).vibrations()`."

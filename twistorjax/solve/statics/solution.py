@@ -73,7 +73,7 @@ class Equilibrium(PoseSolution):
     def _summary(self, names: np.ndarray) -> str:
         title = (
             f"{names}: {100 * float(self.fraction):.4g} % of loads and prescribed "
-            f"displacements, {int(self.steps)} Newton steps"
+            f"displacements, {int(self.steps)} Newton step{'s' * (int(self.steps) != 1)}"
         )
         if np.isfinite(self.energy):
             title += f", {float(self.energy):.6g} J in the hinges"

@@ -242,6 +242,18 @@ def test_a_sweep_can_be_resumed(run_here):
 
 
 @pytest.mark.slow
+def test_parts_of_a_sweep_share_a_folder(run_here):
+    command = ("sweep", "stage", "--web", "0.3e-3:0.4e-3:31", "--chunk", "8", "--json")
+    whole = json.loads(run_here(*command).stdout)
+    command = (*command, "--out", "parts.zarr")
+    first, second = (run_here(*command, "--part", part) for part in ("2/2", "1/2"))
+    assert json.loads(first.stdout)["missing"] == 16
+    assert json.loads(second.stdout) == whole
+    wrong = run_here(*command, "--part", "3/2")
+    assert wrong.returncode == 2 and "the k-th of n parts, such as 3/64" in wrong.stderr
+
+
+@pytest.mark.slow
 def test_resuming_a_sweep_repairs_damaged_files(run_here):
     command = ("sweep", "stage", "--web", "0.3e-3:0.4e-3:6", "--chunk", "3", "--json")
     first = run_here(*command, "--out", "damaged.zarr")

@@ -1,5 +1,7 @@
 """Optima against closed forms, finite differences, and solvers of SciPy alone."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -311,6 +313,20 @@ def test_finished_searches_are_not_repeated(tmp_path, monkeypatch):
     other = {**options, "limits": {"stress": tj.Limit(upper=100e6)}, "resume": True}
     with pytest.raises(ValueError, match="settings"):
         tj.optimize(leaf_spring, leaf_parameters(), **other)
+
+
+def test_parts_of_an_optimization_share_their_searches(tmp_path):
+    pytest.importorskip("zarr")
+    options: dict[str, Any] = {**LEAF, "starts": 5, "seed": 1}
+    complete = tj.optimize(leaf_spring, leaf_parameters(), **options)
+    options["store"] = tmp_path / "searches.zarr"
+    for k, finished in ((3, [2]), (1, [0, 2, 3]), (2, [0, 1, 2, 3, 4])):
+        optimum = tj.optimize(leaf_spring, leaf_parameters(), **options, part=(k, 3))
+        expected = complete.searches.ends[finished]
+        np.testing.assert_allclose(optimum.searches.ends, expected, rtol=1e-9)
+    np.testing.assert_allclose(optimum.objective, complete.objective, rtol=1e-9)
+    with pytest.raises(ValueError, match=r"\(6, 8\), but there are only 5 searches"):
+        tj.optimize(leaf_spring, leaf_parameters(), **options, part=(6, 8))
 
 
 def test_searches_become_a_dataset():

@@ -242,3 +242,61 @@ def test_settings_are_attributes_in_json(tmp_path):
     settings = {"material": "6061", "temperature": 20.0}
     table = tj.sweep(area, SIDES, settings=settings, store=tmp_path / "s.zarr")
     assert json.loads(table.attrs["settings"]) == settings
+
+
+def contents(path):
+    """The bytes of each file of a store."""
+    files = (file for file in path.rglob("*") if file.is_file())
+    return {file.relative_to(path): file.read_bytes() for file in files}
+
+
+@pytest.mark.parametrize("designs", [SIDES, GRID], ids=["designs", "grid"])
+def test_parts_in_any_order_give_the_files_of_one_sweep(tmp_path, designs):
+    size = 128 if designs is SIDES else 2
+    whole, shared = tmp_path / "whole.zarr", tmp_path / "shared.zarr"
+    tj.sweep(area, designs, chunk_size=size, store=whole)
+    for k in (2, 3, 1):
+        tj.sweep(area, designs, chunk_size=size, store=shared, part=(k, 3))
+        written = {int(file.name) for file in shared.glob("finished/sums/c/*")}
+        assert all((chunk + 1) % 3 == k % 3 or k != 2 for chunk in written)
+    assert contents(shared) == contents(whole)
+
+
+def test_a_repeated_part_computes_only_what_is_missing(tmp_path):
+    path = tmp_path / "s.zarr"
+    for _ in range(2):
+        for k in (1, 2):
+            tj.sweep(area, SIDES, chunk_size=128, store=path, part=(k, 2))
+    before = modification_times(path)
+    (path / "area" / "c" / "3").write_bytes(b"damaged")
+    tj.sweep(area, SIDES, chunk_size=128, store=path, part=(1, 2))  # chunks 0, 2, 4, 6
+    assert (path / "area" / "c" / "3").read_bytes() == b"damaged"
+    tj.sweep(area, SIDES, chunk_size=128, store=path, part=(2, 2))
+    after = modification_times(path)
+    changed = {str(file) for file in before if after[file] != before[file]}
+    assert changed and all(file.endswith("/c/3") for file in changed)
+
+
+def test_default_chunks_give_work_to_all_parts(tmp_path):
+    designs = {"a": np.linspace(0.0, 1.0, 64), "b": np.ones(64)}
+    tj.sweep(area, designs, store=tmp_path / "s.zarr", part=(8, 8))
+    assert len(list(tmp_path.glob("s.zarr/finished/sums/c/*"))) == 1
+
+
+def test_a_part_reports_its_own_failures(tmp_path):
+    def root(design):
+        return {"root": jnp.sqrt(design["a"])}
+
+    designs = {"a": np.array([1.0, -1.0, 4.0, -4.0, -9.0, 16.0])}
+    for part, text in (((1, 2), "1 of 3 designs"), ((2, 2), "2 of 3 designs")):
+        with pytest.warns(UserWarning, match=text):
+            tj.sweep(root, designs, chunk_size=1, store=tmp_path / "s.zarr", part=part)
+
+
+@pytest.mark.untyped
+@pytest.mark.parametrize("part", [(0, 4), (5, 4), (1.5, 4), 3, (1, 2, 3)])
+def test_an_impossible_part_is_rejected(tmp_path, part):
+    with pytest.raises(ValueError, match="the k-th of n parts, with k from 1 to n"):
+        tj.sweep(area, SIDES, store=tmp_path / "s.zarr", part=part)
+    with pytest.raises(ValueError, match="no `store` for all parts"):
+        tj.sweep(area, SIDES, part=part)

@@ -44,6 +44,14 @@ _OutOption = Annotated[
 _ResumeOption = Annotated[
     bool, typer.Option("--resume", help="Resume the sweep that --out contains.")
 ]
+_PartOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Compute the k-th of n parts of the sweep that --out is shared by, k/n: a "
+        "job of a cluster. Parts may run at the same time and be repeated.",
+        metavar="K/N",
+    ),
+]
 _DevicesOption = Annotated[
     int,
     typer.Option(
@@ -72,6 +80,7 @@ def stage(
     ] = "3e-3",
     out: _OutOption = None,
     resume: _ResumeOption = False,
+    part: _PartOption = None,
     devices: _DevicesOption = 1,
     chunk: _ChunkOption = None,
     as_json: JsonOption = False,
@@ -82,7 +91,7 @@ def stage(
     Example: twistorjax sweep stage --web 0.2e-3:0.4e-3:10000 --out stage.zarr
     """
     ranges = _parse_ranges({"web": web, "hole": hole}, plot)
-    table = _run("stage_gain", ranges, ("gain",), out, resume, devices, chunk)
+    table = _run("stage_gain", ranges, ("gain",), out, resume, part, devices, chunk)
     _report(table, ranges, ("gain",), out, as_json, plot)
 
 
@@ -98,6 +107,7 @@ def four_bar(
     ] = "0.8e-3:1.2e-3:20",
     out: _OutOption = None,
     resume: _ResumeOption = False,
+    part: _PartOption = None,
     devices: _DevicesOption = 1,
     chunk: _ChunkOption = None,
     as_json: JsonOption = False,
@@ -111,7 +121,7 @@ def four_bar(
     Example: twistorjax sweep four-bar --length 12e-3:16e-3:50 --thickness 1e-3
     """
     ranges = _parse_ranges({"length": length, "thickness": thickness}, plot)
-    table = _run("driven_linkage", ranges, (), out, resume, devices, chunk)
+    table = _run("driven_linkage", ranges, (), out, resume, part, devices, chunk)
     _report(table, ranges, ("travel", "moment", "frequency"), out, as_json, plot)
 
 
@@ -139,6 +149,7 @@ def _run(
     derivatives: Sequence[str],
     out: Path | None,
     resume: bool,
+    part: str | None,
     devices: int,
     chunk: int | None,
 ) -> Any:
@@ -150,6 +161,9 @@ def _run(
     """
     if resume and out is None:
         raise UsageError("--resume needs --out, the folder of the sweep to resume.")
+    if part is not None and out is None:
+        raise UsageError("--part needs --out, the folder that all parts share.")
+    pair = None if part is None else _parse_part(part)
     # `process_cpu_count` exists from Python 3.13 on.
     count_cores = getattr(os, "process_cpu_count", os.cpu_count)
     cores = count_cores() or 1
@@ -174,6 +188,7 @@ def _run(
                 mesh=mesh,
                 store=out,
                 resume=resume,
+                part=pair,
                 progress=sys.stderr.isatty(),
             )
     except ImportError as error:
@@ -183,6 +198,19 @@ def _run(
     except OSError as error:
         message = str(error) if error.filename else error.strerror or str(error)
         raise SolveError(_with_option_names(message)) from None
+
+
+def _parse_part(text: str) -> tuple[int, int]:
+    """Convert the value of --part to two integers."""
+    try:
+        k, n = map(int, text.split("/"))
+    except ValueError:
+        k, n = 0, 0
+    if not 1 <= k <= n:
+        raise UsageError(
+            f"--part is {text}, but must be k/n, the k-th of n parts, such as 3/64."
+        )
+    return k, n
 
 
 def _with_option_names(message: str) -> str:
@@ -200,19 +228,22 @@ def _report(
 ) -> None:
     """Print minimum, mean, and maximum of the outputs, and draw the outputs."""
     from ..results.codes import result_message
+    from ..sweeps.dataset import NOT_COMPUTED
     from ..sweeps.sweep import failures
 
     derivatives = [f"{output}_by_{name}" for output in outputs for name in ranges]
     names = [*outputs, *(name for name in derivatives if name in table)]
     summary = {name: _summary(table[name]) for name in names}
     count, failed = table["succeeded"].size, failures(table)
+    missing = int((table["result"] == NOT_COMPUTED).sum())
     record = {
         "designs": count,
+        "missing": missing,
         "failed": sum(failed.values()),
         "failures": failed,
         "outputs": summary,
     }
-    text = _text(count, failed, summary)
+    text = _text(count, missing, failed, summary)
 
     def draw() -> Any:
         from ..plotting.charts import draw_sweep
@@ -241,12 +272,17 @@ def _summary(values: Any) -> dict[str, Any]:
 
 
 def _text(
-    count: int, failed: Mapping[str, int], summary: Mapping[str, Mapping[str, Any]]
+    count: int,
+    missing: int,
+    failed: Mapping[str, int],
+    summary: Mapping[str, Mapping[str, Any]],
 ) -> str:
     """Format the number of designs, the failures by result name, and all summaries."""
     from ..results.codes import result_message
 
     lines = [f"{count:,} designs"]
+    if missing:
+        lines = [f"{count - missing:,} of {count:,} designs; others are of other parts"]
     for name, number in failed.items():
         lines.append(f"{number:,} failed, {name}: {result_message(name)}")
     lines.append(f"{'':<22}{'minimum':>12}  {'mean':>12}  {'maximum':>12}")

@@ -1,5 +1,6 @@
 """Evaluation of a study for many designs, with one dataset as the result."""
 
+import operator
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -7,10 +8,11 @@ from typing import Any, TYPE_CHECKING
 
 import jax
 import numpy as np
+from jaxtyping import Bool
 
 from .._utils.memory import memory_error, require_memory
 from .._utils.progress import announced, progress_bar
-from .._utils.validation import compilation_error, require_package, warn
+from .._utils.validation import compilation_error, quote, require_package, warn
 from ..designs.designs import Designs, Grid as Grid, grid_chunk_size
 from ..designs.sampling import sample_designs as sample_designs
 from ..results.codes import result_message, RESULT_NAMES
@@ -54,6 +56,7 @@ def sweep(
     mesh: jax.sharding.Mesh | None = None,
     store: str | Path | None = None,
     resume: bool = False,
+    part: tuple[int, int] | None = None,
     settings: Mapping[str, Any] | None = None,
     progress: bool = False,
 ) -> "xarray.Dataset":
@@ -96,6 +99,11 @@ def sweep(
             not fit to them; `open_sweep` returns the grid in any case.
         resume: Whether an existing store is continued. Intact chunks are not computed
             again. Damaged or missing files are written again.
+        part: The k-th of n parts of the sweep, as `(k, n)` with k from 1 to n, for the
+            jobs of a cluster that share a `store`. It has every n-th chunk. Parts may run
+            at the same time and on several machines with one file system, and may be
+            killed and repeated: each creates or continues the store, whose files have the
+            bits of a sweep without parts.
         settings: Further entries for the attributes of the dataset, which JSON can
             represent. A store is resumed only if they are the same.
         progress: Whether a progress bar is shown.
@@ -103,15 +111,16 @@ def sweep(
     Returns:
         A dataset with the axis `design`, or with the parameters of a grid as axes. It
         holds the parameters, the outputs, `succeeded` and `result`. With a store, it is
-        what `open_sweep` returns.
+        what `open_sweep` returns; the designs of other parts may be missing.
 
     Raises:
         ImportError: xarray is not installed, or a store is used and zarr is not
             installed.
         ValueError: The designs have different lengths; a name is unknown, is used twice
-            or cannot be stored; an output is not numeric; the store exists and `resume`
-            is False; the store belongs to another sweep; a chunk does not fit into
-            `memory`; or the dataset does not fit into the memory of the machine.
+            or cannot be stored; an output is not numeric; the store exists, `resume` is
+            False, and there is no `part`; the store belongs to another sweep; there is no
+            such part; a chunk does not fit into `memory`; or the dataset does not fit
+            into the memory of the machine.
         OSError: The store cannot be read or written, or its manifest is damaged.
         RuntimeError: A solve in the study raised an error, because it was called without
             `throw=False`.
@@ -152,6 +161,8 @@ def sweep(
         raise ValueError(f"`memory` is {memory} bytes, but must be positive.")
     if resume and store is None:
         raise ValueError("`resume` is True, but there is no `store`. Specify its path.")
+    of_part = rows_of_part(part, store)
+    resume = resume or part is not None
     existing = None
     if store is not None:
         check_storable(designs.names)
@@ -175,7 +186,7 @@ def sweep(
     if chunk_size is None and existing is not None:
         chunk_size = existing.identity["chunk_size"]
     elif chunk_size is None:
-        chunk_size = default_chunk_size(len(designs), mesh)
+        chunk_size = default_chunk_size(-(-len(designs) // of_part.step), mesh)
         if store is not None and designs.dims != ("design",):
             chunk_size = grid_chunk_size(designs.shape, chunk_size)
     try:
@@ -209,14 +220,45 @@ def sweep(
     else:
         identity = sweep_identity(study, designs, program, units, settings)
         opened = open_store(Path(store), layout, identity, resume)
-        missing = np.flatnonzero(~opened.intact_chunks())
+        own = np.arange(program.chunk_count(designs))[of_part]
+        missing = own[~opened.intact_chunks(own.tolist())]
         synchronize("sweep started")
         for chunk, output in _run(program, designs, missing.tolist(), progress):
             opened.write(chunk, layout.values(output))
         synchronize("sweep finished")
+        if part is not None:  # Each part reads and reports its own failures only.
+            is_own = np.isin(np.arange(program.chunk_count(designs)), own)
+            flags = {name: opened.read(name, is_own) for name in ("succeeded", "result")}
+            warn_of_failures(flags)
+            return _dataset(opened)
         table = open_sweep(store, verify=False)
     warn_of_failures(table)
     return table
+
+
+def rows_of_part(part: tuple[int, int] | None, store: str | Path | None) -> slice:
+    """Return which chunks of a sweep, or searches, a part has: every n-th one.
+
+    Which they are does not depend on what is missing, because parts begin at different
+    times. Without a part, these are all.
+    """
+    if part is None:
+        return slice(0, None, 1)
+    if store is None:
+        raise ValueError(
+            f"`part` is {quote(part)}, but there is no `store` for all parts. Specify "
+            "its path."
+        )
+    try:
+        k, n = (operator.index(number) for number in part)
+    except (TypeError, ValueError):
+        k, n = 0, 0
+    if not 1 <= k <= n:
+        raise ValueError(
+            f"`part` is {quote(part)}, but must be (k, n), the k-th of n parts, with k "
+            "from 1 to n."
+        )
+    return slice(k - 1, None, n)
 
 
 def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
@@ -243,17 +285,30 @@ def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
             metadata are damaged.
     """
     require_packages(store)
+    opened = Store(store).open("r")
+    available = opened.intact_chunks() if verify else opened.written_chunks()
+    return _dataset(opened, available, verify=verify)
+
+
+def _dataset(
+    opened: Store,
+    available: Bool[np.ndarray, " chunks"] | None = None,
+    *,
+    verify: bool = False,
+) -> "xarray.Dataset":
+    """Return the dataset of a store, without the chunks that are not available.
+
+    If none are given, all are taken as they are, and read when they are used.
+    """
     import xarray
 
-    opened = Store(store).open("r")
     with clear_errors(opened.path, "read"):
         table = xarray.open_zarr(opened.path, consolidated=False, chunks=None)
     # The order in which zarr finds the arrays is that of the file system.
     coordinates = {name: table.coords[name] for name in sorted(map(str, table.coords))}
     outputs = {name: table[name].variable for name in opened.output_names}
     table = xarray.Dataset(outputs, coordinates, table.attrs)
-    available = opened.intact_chunks() if verify else opened.written_chunks()
-    if not available.all():
+    if available is not None and not available.all():
         outputs = {
             name: table[name].copy(data=opened.read(name, available))
             for name in opened.output_names
@@ -277,7 +332,7 @@ def require_packages(store: str | Path | None) -> None:
         require_package("zarr", "Stores", "data")
 
 
-def failures(table: "xarray.Dataset") -> dict[str, int]:
+def failures(table: "xarray.Dataset | Mapping[str, np.ndarray]") -> dict[str, int]:
     """Count the failed designs of a dataset for each result name.
 
     Designs that have not been evaluated are not counted.
@@ -287,16 +342,17 @@ def failures(table: "xarray.Dataset") -> dict[str, int]:
     return dict(Counter(names))
 
 
-def warn_of_failures(table: "xarray.Dataset") -> None:
+def warn_of_failures(table: "xarray.Dataset | Mapping[str, np.ndarray]") -> None:
     """Warn if designs of a dataset failed, with their number and the reasons."""
     if not (counts := failures(table)):
         return
     reasons = " ".join(
         f"{count:,} {name}: {result_message(name)}" for name, count in counts.items()
     )
+    evaluated = int(np.sum(np.asarray(table["result"]) != NOT_COMPUTED))
     warn(
-        f"{sum(counts.values()):,} of {table['succeeded'].size:,} designs failed, and "
-        f"their outputs are NaN. {reasons}"
+        f"{sum(counts.values()):,} of {evaluated:,} designs failed, and their outputs "
+        f"are NaN. {reasons}"
     )
 
 

@@ -45,6 +45,7 @@ def optimize(
     max_steps: int = 500,
     store: str | Path | None = None,
     resume: bool = False,
+    part: tuple[int, int] | None = None,
     progress: bool = False,
     throw: bool = True,
 ) -> Optimum:
@@ -87,6 +88,9 @@ def optimize(
             `tj.sweeps.open_sweep` reads it.
         resume: Whether an existing store is continued. Finished searches are not
             repeated.
+        part: The k-th of n parts of the searches, as `(k, n)`, for the jobs of a cluster
+            that share a `store`, as for `sweep`. The optimum is the best one of all
+            searches that are finished.
         progress: Whether a progress bar is shown.
         throw: Whether a failure raises an error. If False, `result` holds the reason.
 
@@ -99,7 +103,7 @@ def optimize(
         ValueError: Double precision is off; there is no variable, or not exactly one
             objective; the objective is not a scalar; a limit has no output; a variable
             without bounds has no random starts; or the store exists or belongs to another
-            optimization.
+            optimization; or there is no such part.
         RuntimeError: No search ended at an optimum within all limits, or the study fails
             at all starts.
 
@@ -138,6 +142,7 @@ def optimize(
         max_steps=max_steps,
         store=store,
         resume=resume,
+        part=part,
         progress=progress,
     )
     problem = _create_problem(

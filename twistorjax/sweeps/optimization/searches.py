@@ -27,7 +27,7 @@ from ...results.tables import Column
 from ..dataset import Layout
 from ..outputs import StudyOutput
 from ..stores.identity import open_store, sweep_identity
-from ..sweep import require_packages
+from ..sweep import require_packages, rows_of_part
 from .local_search import search, SearchEnd
 from .optimum import Optimum, summarize
 from .problem import Evaluate, Evaluation, Problem
@@ -47,6 +47,7 @@ class SearchOptions:
     max_steps: int
     store: str | Path | None
     resume: bool
+    part: tuple[int, int] | None
     progress: bool
 
     def __post_init__(self) -> None:
@@ -60,6 +61,7 @@ class SearchOptions:
             raise ValueError(
                 "`resume` is True, but there is no `store`. Specify its path."
             )
+        rows_of_part(self.part, self.store)
         if isinstance(self.starts, int | float | np.number):
             if int(self.starts) != self.starts or self.starts < 1:
                 raise ValueError(
@@ -97,6 +99,13 @@ def run_searches(problems: Sequence[Problem], options: SearchOptions) -> list[Op
         for problem, firsts in zip(problems, starts, strict=True)
         for start in firsts
     ]
+    rows = np.arange(len(tasks)).reshape(len(problems), -1)
+    of_part = rows_of_part(options.part, options.store)
+    if of_part.start >= rows.shape[1]:
+        raise ValueError(
+            f"`part` is {options.part}, but there are only {rows.shape[1]} searches."
+        )
+    own = rows[:, of_part].ravel().tolist()
     ends: dict[int, SearchEnd] = {}
     store = None
     if options.store is not None:
@@ -109,10 +118,11 @@ def run_searches(problems: Sequence[Problem], options: SearchOptions) -> list[Op
             tolerance=options.tolerance, max_steps=options.max_steps,
         )
         for row, (problem, start) in enumerate(tasks)
-        if row not in ends
+        if row in own and row not in ends
     }  # fmt: skip
 
-    with progress_bar(len(tasks), "search", options.progress, initial=len(ends)) as bar:
+    done = len(own) - len(searches)
+    with progress_bar(len(own), "search", options.progress, initial=done) as bar:
 
         def finished(row: int, end: SearchEnd) -> None:
             ends[row] = end
@@ -121,10 +131,10 @@ def run_searches(problems: Sequence[Problem], options: SearchOptions) -> list[Op
             bar.update()
 
         _run_side_by_side(searches, problems[0].evaluate, finished)
-    in_order = iter(ends[row] for row in range(len(tasks)))
+    known = [[row for row in of_problem if row in ends] for of_problem in rows.tolist()]
     return [
-        summarize(problem, firsts, [next(in_order) for _ in firsts])
-        for problem, firsts in zip(problems, starts, strict=True)
+        summarize(problem, [tasks[row][1] for row in found], [ends[row] for row in found])
+        for problem, found in zip(problems, known, strict=True)
     ]
 
 
@@ -209,7 +219,8 @@ class SearchStore:
         assert options.store is not None
         path = Path(options.store)
         require_packages(path)
-        if path.exists() and not options.resume:
+        resume = options.resume or options.part is not None
+        if path.exists() and not resume:
             raise ValueError(
                 f"`store` is {str(path)!r}, which already exists. Continue it with "
                 "`resume=True`, or use another path."
@@ -240,7 +251,7 @@ class SearchStore:
         }
         identity = sweep_identity(problem.study, designs, problem.program, None, settings)
         identity["chunk_size"] = 1  # Each search is saved alone.
-        self._store = open_store(path, self._layout, identity, options.resume)
+        self._store = open_store(path, self._layout, identity, resume)
 
     def finished(self) -> dict[int, SearchEnd]:
         """Return the ends of the finished searches, by the index of their start."""

@@ -3,7 +3,7 @@
 import contextlib
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -125,13 +125,22 @@ class Store:
         """Determine whether each chunk has been written, without a verification."""
         return self._read_checksums() != 0
 
-    def intact_chunks(self) -> Bool[np.ndarray, " chunks"]:
-        """Determine whether each chunk has been written and is unchanged since then."""
+    def intact_chunks(
+        self, chunks: Sequence[int] | None = None
+    ) -> Bool[np.ndarray, " chunks"]:
+        """Determine whether chunks have been written and are unchanged since then.
+
+        By default these are all chunks.
+        """
+        checksums = self._read_checksums()
+        chunks = range(len(checksums)) if chunks is None else chunks
         return np.array(
             [
-                checksum != 0 and checksum == self._compute_checksum(chunk)
-                for chunk, checksum in enumerate(self._read_checksums())
-            ]
+                checksums[chunk] != 0
+                and checksums[chunk] == self._compute_checksum(chunk)
+                for chunk in chunks
+            ],
+            bool,
         )
 
     def write(self, chunk: int, values: Mapping[str, np.ndarray]) -> None:
@@ -141,8 +150,11 @@ class Store:
         count = math.prod(shape)
         values = {name: np.ascontiguousarray(v[:count]) for name, v in values.items()}
         remedy = "Finished chunks remain; repeat the sweep with `resume=True`."
+        # Success is written last, for those who read the store in the meantime.
+        names = sorted(self._arrays, key=lambda name: name == "succeeded")
         with clear_errors(self.path, "written", remedy):
-            for name, array in self._arrays.items():
+            for name in names:
+                array = self._arrays[name]
                 array[part] = values[name].reshape(*shape, *values[name].shape[1:])
             self._checksums[chunk] = _checksum(chunk, values)
 

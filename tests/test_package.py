@@ -34,6 +34,31 @@ def test_the_readme_lists_all_packages_from_the_lowest_to_the_highest():
     assert {path.parent.name for path in PACKAGE.glob("*/__init__.py")} == set(packages)
 
 
+def test_one_version_is_told_everywhere():
+    told = {
+        "README.md": r"version = \{(.*)\}",
+        "CITATION.cff": r"^version: (.*)$",
+        "CHANGELOG.md": r"^## (\d\S*) \(\d{4}-\d\d-\d\d\)$",
+    }
+    for name, pattern in told.items():
+        found = re.search(pattern, (ROOT / name).read_text(), re.M)
+        assert found is not None and found[1] == tj.__version__, name
+
+
+def test_the_list_of_versions_has_every_dependency():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    needed = [*project["project"]["dependencies"]]
+    for group in project["project"]["optional-dependencies"].values():
+        needed += group
+    for group in project["dependency-groups"].values():
+        needed += [entry for entry in group if isinstance(entry, str)]
+    names = {re.split(r"[^\w-]", entry)[0].replace("_", "-") for entry in needed}
+    listed = re.findall(
+        r"^([\w-]+)==", (ROOT / "tests" / "constraints.txt").read_text(), re.M
+    )
+    assert names <= set(listed)
+
+
 @pytest.mark.parametrize("path", PACKAGES, ids=lambda path: path.parent.name)
 def test_every_package_has_a_docstring_about_its_purpose(path):
     docstring = ast.get_docstring(ast.parse(path.read_text()))

@@ -71,7 +71,7 @@ def run_page(monkeypatch, tmp_path):
     monkeypatch.delitem(sys.modules, "guide", raising=False)
 
     def run(name: str) -> dict:
-        variables: dict = {}
+        variables: dict = {"__name__": "test_page"}  # whose warnings are errors
         for code, output in outputs_of(PAGES[name].read_text()):
             printed = io.StringIO()
             with contextlib.redirect_stdout(printed):

@@ -254,6 +254,17 @@ def test_parts_of_a_sweep_share_a_folder(run_here):
 
 
 @pytest.mark.slow
+def test_a_path_that_fails_shows_what_was_found(run_here):
+    """A leaf whose rotation is too large at a part of the load."""
+    assert run_here("new", "folded-guide").returncode == 0
+    arguments = ("folded-guide.json", "--load", "table:400,0", "--plot", "path.png")
+    done = run_here("path", *arguments)
+    assert done.returncode == 1 and "axial force" in done.stderr
+    assert "out_of_range: " in done.stdout
+    assert (run_here.folder / "path.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
 def test_resuming_a_sweep_repairs_damaged_files(run_here):
     command = ("sweep", "stage", "--web", "0.3e-3:0.4e-3:6", "--chunk", "3", "--json")
     first = run_here(*command, "--out", "damaged.zarr")

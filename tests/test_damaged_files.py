@@ -16,7 +16,14 @@ from random_damage import (
 import twistorjax as tj
 
 
-pytestmark = pytest.mark.untyped
+pytestmark = [
+    pytest.mark.untyped,
+    # The outlines of the saved models are those of no real body.
+    pytest.mark.filterwarnings("ignore:The mass of the body"),
+    pytest.mark.filterwarnings("ignore:`inertia` of the body"),
+    pytest.mark.filterwarnings("ignore:The size of the outline"),
+    pytest.mark.filterwarnings("ignore:The start of the hinge"),
+]
 
 
 def assert_clear(error, path):

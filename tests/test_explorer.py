@@ -158,3 +158,22 @@ def test_a_page_of_too_many_states_is_refused(explorer, tmp_path):
         explorer.save(tmp_path / "spring.html", levels=200)
     with pytest.raises(ValueError, match=r"must end with \.html"):
         explorer.save(tmp_path / "spring.htm")
+
+
+def test_displacements_may_be_magnified():
+    moved = []
+    for magnify in (1.0, 3.0):
+        explorer = tj.explore(spring, PARAMETERS, magnify=magnify)
+        explorer.widget.request = {"number": 1, "values": [500.0, 0.1], "over": 1}
+        points = np.array(explorer.widget.state["points"]).reshape(-1, 2)
+        # The square of the tip at rest, and displaced
+        moved.append(np.mean(points[4:8] - points[:4], axis=0)[1])
+    np.testing.assert_allclose(moved[1], 3 * moved[0], rtol=1e-4)
+
+
+@pytest.mark.untyped
+def test_wrong_arguments_are_explained():
+    with pytest.raises(ValueError, match=r"`curves` is .* must be a mapping from names"):
+        tj.explore(spring, PARAMETERS, height)
+    with pytest.raises(ValueError, match="`build` is a function that JAX cannot compile"):
+        tj.explore(spring, PARAMETERS, {"y": lambda _, at: float(at.energy)})

@@ -29,6 +29,13 @@ from twistorjax.examples import four_bar, stage
 from twistorjax.io import records
 
 
+# The outlines of the saved models are those of no real body.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:The mass of the body"),
+    pytest.mark.filterwarnings("ignore:The size of the outline"),
+]
+
+
 LAYOUTS = pathlib.Path(__file__).parent / "reference" / "layouts"
 MECHANISMS = {
     "stage": stage.microstage,

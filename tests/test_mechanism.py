@@ -485,6 +485,7 @@ def test_angles_in_degrees_are_noticed(build, name):
     "values",
     [
         {"modulus": 210.0},
+        {"modulus": 210e3},
         {"modulus": 210e18},
         {"density": 7.8},
         {"expansion": 12.0},
@@ -493,8 +494,56 @@ def test_angles_in_degrees_are_noticed(build, name):
     ],
 )
 def test_properties_of_no_solid_are_noticed(values):
-    with pytest.warns(UserWarning, match="a thousand times off every solid"):
+    with pytest.warns(UserWarning, match="but that of solids is between"):
         tj.Material(**{"modulus": 210e9, "poisson": 0.3, **values})
+
+
+SQUARE = 1e-2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"inertia": 66.7}, r"between 2e-08 and 0.0002 kg m\^2. 1 kg mm\^2 is 1e-6"),
+        ({"inertia": 66.7e-12}, r"1 kg mm\^2 is 1e-6"),
+        ({"outline": SQUARE + np.array([0.0, 0.02])}, "0.02 m away from the centroid"),
+        ({"outline": 1e3 * SQUARE}, "The size of the outline of the body 'a' is 20 m"),
+    ],
+)
+def test_a_mass_that_contradicts_the_outline_is_noticed(settings, text):
+    usual = {"mass": 1.0, "inertia": 66.7e-6, "outline": SQUARE}
+    tj.Body("a", **usual)  # a warning is an error
+    tj.Body(
+        "a", outline=SQUARE + np.array([0.0, 0.02])
+    )  # in statics, the frame may be anywhere
+    if "outline" in settings:
+        usual.pop("inertia")
+    with pytest.warns(UserWarning, match=text):
+        tj.Body("a", **{**usual, **settings})
+
+
+def test_a_plate_in_millimeters_is_noticed():
+    steel = tj.Material(210e9, 0.3, density=7800.0)
+    tj.plate("a", SQUARE, width=0.01, material=steel)
+    with pytest.warns(UserWarning, match="`width` of the plate 'a' is 10 m"):
+        tj.plate("a", SQUARE, width=10.0, material=steel)
+    with pytest.warns(UserWarning, match="The size of the outline of the body 'a'"):
+        tj.plate("a", 2e3 * SQUARE, width=0.01, material=steel)
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: tj.Drive("a", x=2.0),
+        lambda: tj.energies.Stop("-x", gap=2.0, stiffness=1e6, smoothing=1e-5),
+        lambda: tj.flexures.piezo_stack(
+            free_stroke=30.0, blocking_force=800.0, length=18e-3, width=5e-3
+        ),
+    ],
+)
+def test_displacements_in_other_units_are_noticed(build):
+    with pytest.warns(UserWarning, match="Lengths are in meters"):
+        build()
 
 
 def flexures_of(scale, material=STEEL):
@@ -531,7 +580,7 @@ def test_dimensions_in_millimeters_are_noticed():
     tj.flexures.Beam(without_units, length=10.0, thickness=1.0, width=1.0)
 
 
-def outlined(x, y, angle=np.pi / 2):
+def outlined(x, y, angle=np.pi / 2, energy=None):
     """Return a leaf of 10 mm between two plates whose outlines are 10 mm apart."""
     square = np.array([[-5e-3, -2e-3], [5e-3, -2e-3], [5e-3, 2e-3], [-5e-3, 2e-3]])
     bodies = [
@@ -540,17 +589,29 @@ def outlined(x, y, angle=np.pi / 2):
     ]
     steel = tj.Material(210e9, poisson=0.3)
     leaf = tj.flexures.leaf(steel, length=10e-3, thickness=0.5e-3, width=5e-3)
-    hinge = tj.Hinge("leaf", "base", "table", leaf, at=(angle, x, y))
+    hinge = tj.Hinge("leaf", "base", "table", energy or leaf, at=(angle, x, y))
     return tj.Mechanism(bodies, [hinge], fixed=["base"])
 
 
 def test_flexures_far_from_their_bodies_are_reported():
     outlined(0.3, 0.0)  # a warning is an error
-    outlined(0.3 + 14e-3, 0.0)  # 9 mm beside both outlines, less than the length
-    with pytest.warns(UserWarning, match="0.011 m and 0.011 m away from"):
-        outlined(0.3 + 16e-3, 0.0)
+    outlined(0.3 + 7e-3, 0.0)  # 2 mm beside both outlines, less than a quarter
+    with pytest.warns(UserWarning, match="0.003 m away from the outline of its first"):
+        outlined(0.3 + 8e-3, 0.0)
     with pytest.warns(UserWarning, match="'leaf', of length 0.01 m"):
         outlined(0.0, 0.3)  # x and y exchanged
+    for pose in ((0.3, 0.0, 0.0), (0.3, 5e-3)):  # along x; at the end of the leaf
+        with pytest.warns(UserWarning, match="0.005 m away from"):
+            outlined(*pose)
+
+
+def test_a_leaf_from_its_second_body_to_its_first_is_reported():
+    """Its tension is compression then, which makes no difference in a quadratic form."""
+    with pytest.warns(UserWarning, match="Exchange `first` and `second`, or turn"):
+        outlined(0.3, 0.0, -np.pi / 2)
+    steel = tj.Material(210e9, poisson=0.3)
+    linear = tj.flexures.linear_leaf(steel, length=10e-3, thickness=0.5e-3, width=5e-3)
+    outlined(0.3, 0.0, -np.pi / 2, 2.0 * linear)
 
 
 def warnings_of_a_user(build):

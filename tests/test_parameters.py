@@ -36,9 +36,8 @@ def test_values_stay_within_their_bounds_and_start_at_the_initial_value():
     ("arguments", "message"),
     [
         (((1.0,), {"lower": 4, "upper": 0}), "are the bounds exchanged"),
-        (((-1.0,), {"lower": 0}), "is -1.0, but must be above 0"),
-        (((0.0,), {"lower": 0}), "must be above 0"),
-        (((4.0,), {"lower": 0, "upper": 4}), "must be above 0 and below 4"),
+        (((-1.0,), {"lower": 0}), "is -1.0, but must not be below 0"),
+        (((4.1,), {"lower": 0, "upper": 4}), "must not be below 0 or above 4"),
         (((jnp.nan,), {}), "must be finite"),
         (((1.0,), {"lower": np.nan}), "`lower` of a `Parameter` is nan"),
         (((0.0,), {}), "typical change is not known: give it as `scale`"),
@@ -49,6 +48,14 @@ def test_values_stay_within_their_bounds_and_start_at_the_initial_value():
 def test_wrong_parameters_are_rejected(arguments, message):
     with pytest.raises(ValueError, match=message):
         Parameter(*arguments[0], **arguments[1])
+
+
+def test_a_bound_is_a_start_of_an_optimization_and_not_of_an_identification():
+    start = {"x": Parameter(4.0, lower=0, upper=4)}
+    optimum = tj.optimize(lambda at: {"f": (at["x"] - 1.0) ** 2}, start, minimize="f")
+    np.testing.assert_allclose(optimum.parameters["x"], 1.0, atol=1e-5)
+    with pytest.raises(ValueError, match="'x' begins at a bound"):
+        ParameterSet.from_tree(start)
 
 
 @pytest.mark.slow

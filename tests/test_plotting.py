@@ -173,12 +173,13 @@ def test_the_faces_of_a_stop_meet_where_its_gap_is_closed(direction, gap, step):
     along = np.array([np.cos(0.3), np.sin(0.3)])  # axis 1 of the hinge
     across = np.array([-along[1], along[0]])
     reached[1] += [step[0], *(step[1] * along + step[2] * across)]
-    apart, closed = (
-        polygons(tj.draw(mechanism, poses, reference=False))[-2:]
-        for poses in (None, reached)
-    )
-    np.testing.assert_allclose(closed[0], closed[1], atol=1e-9)
-    assert np.max(np.abs(apart[0] - apart[1])) > 0.1
+    for magnify in (1.0, 0.5):
+        apart, closed = (
+            polygons(tj.draw(mechanism, poses, reference=False, magnify=magnify))[-2:]
+            for poses in (None, reached)
+        )
+        np.testing.assert_allclose(closed[0], closed[1], atol=1e-9)
+        assert np.max(np.abs(apart[0] - apart[1])) > 0.1
 
 
 def test_all_names_or_some_can_be_left_out():

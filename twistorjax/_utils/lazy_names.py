@@ -4,6 +4,7 @@ Some of these modules import packages that take long to load.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import lazy_loader
@@ -24,9 +25,13 @@ def attach(
                 raise
         from difflib import get_close_matches
 
+        known = {each: each for each in names}
+        for folder in set(names) & {path.name for path in Path(file).parent.iterdir()}:
+            public = [each for each in dir(imported(folder)) if each[0] != "_"]
+            known = {each: f"{folder}.{each}" for each in public} | known
         message = f"The module {package!r} has no attribute {name!r}."
-        if similar := get_close_matches(name, names, 1):
-            message += f" Did you mean {similar[0]!r}?"
+        if similar := get_close_matches(name, known, 1):
+            message += f" Did you mean {known[similar[0]]!r}?"
         raise AttributeError(message, name=name)
 
     return get, listed, names

@@ -1,4 +1,4 @@
-"""Closed polygons: edges that cross each other."""
+"""Closed polygons: edges that cross each other, and the centroid."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,6 +11,17 @@ _BESIDE = 1e-9
 
 Points = Float[np.ndarray, "_ 2"]
 Pairs = Int[np.ndarray, "_ 2"]
+
+
+def centroid(corners: Points) -> Float[np.ndarray, "2"]:
+    """Return the centroid of the area of a closed polygon."""
+    middle = corners.mean(axis=0)
+    start = corners - middle
+    end = np.roll(start, -1, axis=0)
+    cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
+    # Without an area, it is the mean corner.
+    area = 3 * np.sum(cross) or np.inf
+    return middle + np.sum((start + end) * cross[:, None], axis=0) / area
 
 
 def crossing_edges(corners: Points) -> tuple[int, int] | None:

@@ -10,11 +10,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from functools import wraps
+from inspect import signature
 from typing import Any, ParamSpec, TypeVar
 
 import jax
 
 from .host import is_traced
+from .validation import quote
 
 
 Parameters = ParamSpec("Parameters")
@@ -150,13 +152,19 @@ def announced(
 ) -> Callable[[Callable[Parameters, Result]], Callable[Parameters, Result]]:
     """Show the name of an analysis and the size of its mechanism, if it takes long.
 
-    The first argument of the analysis is a mechanism. Inside of other functions of JAX,
-    nothing is shown.
+    Inside of other functions of JAX, nothing is shown. If the first argument is called
+    `mechanism`, it must be one.
     """
 
     def decorate(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+        needs_mechanism = next(iter(signature(function).parameters)) == "mechanism"
+
         @wraps(function)
         def call(*arguments: Parameters.args, **options: Parameters.kwargs) -> Result:
+            if needs_mechanism and arguments and not _is_mechanism(arguments[0]):
+                raise ValueError(
+                    f"`mechanism` is {quote(arguments[0])}, but must be a Mechanism."
+                )
             if _line.text is not None or not _line.is_enabled():
                 return function(*arguments, **options)
             if is_traced((arguments, options)):
@@ -169,14 +177,17 @@ def announced(
     return decorate
 
 
+def _is_mechanism(value: Any) -> bool:
+    """Decide whether an argument has bodies and hinges, as a `Mechanism` does."""
+    lists = (getattr(value, name, None) for name in ("names", "hinge_names"))
+    return all(isinstance(names, tuple) for names in lists)
+
+
 def _size(mechanism: Any) -> str:
     """Return a text such as ": 3 bodies, 2 hinges" about a mechanism."""
-    names, hinges = (
-        getattr(mechanism, attribute, None) for attribute in ("names", "hinge_names")
-    )
-    if not isinstance(names, tuple) or not isinstance(hinges, tuple):
+    if not _is_mechanism(mechanism):
         return ""
-    return f": {len(names)} bodies, {len(hinges)} hinges"
+    return f": {len(mechanism.names)} bodies, {len(mechanism.hinge_names)} hinges"
 
 
 def _in_notebook() -> bool:

@@ -241,14 +241,22 @@ def require_length(
     A Young's modulus of exactly 1 makes a study dimensionless, so there is no warning.
     """
     length = require_positive(name, value)
-    known = concrete(length)
-    dimensionless = modulus is not None and np.all(concrete(modulus) == np.array(1.0))
-    if known is not None and known > _LONGEST and not dimensionless:
-        warn(
-            f"{name} is {float(known):g} m, which is large for a flexure. Lengths are "
-            "in meters: 50 mm is 50e-3."
-        )
+    if modulus is None or not np.all(concrete(modulus) == np.array(1.0)):
+        warn_if_long(name, length, _LONGEST, "a flexure")
     return length
+
+
+def warn_if_long(name: str, value: NumberLike, longest: float, part: str) -> None:
+    """Warn of a length or a displacement (m) that is so large that it seems to be in mm.
+
+    It is not traced, and that of such a `part` is not `longest` (m) or more.
+    """
+    known = concrete(value)
+    if known is not None and known.shape == () and abs(float(known)) > longest:
+        warn(
+            f"{name} is {float(known):g} m, which is large for {part}. Lengths are in "
+            "meters: 50 mm is 50e-3."
+        )
 
 
 def require_positive_fields(part: Any, *names: str, or_zero: Sequence[str] = ()) -> None:

@@ -1,5 +1,6 @@
 """`twistorjax path`: stable and unstable equilibria of a mechanism in a file."""
 
+import re
 from typing import Annotated, Any
 
 import typer
@@ -13,6 +14,7 @@ from .common import (
     prepare_jax,
     print_result,
     reporting_errors,
+    SolveError,
     UsageError,
 )
 from .solve import DriveOption, inputs, LoadOption
@@ -46,8 +48,16 @@ def path(
 
     model = load_mechanism(mechanism)
     loads, drives = inputs(load, drive)
+    failure = None
     with reporting_errors():
-        found = follow(model, loads=loads, drives=drives)
+        try:
+            found = follow(model, loads=loads, drives=drives)
+        except RuntimeError as error:
+            # What was found before the failure is shown.
+            found = follow(model, loads=loads, drives=drives, throw=False)
+            if len(found.load_factors) < 2:
+                raise
+            failure = error
     body, coordinate = _drawn(found, over)
     critical = [
         {
@@ -67,6 +77,8 @@ def path(
         found, record, as_json, plot=plot,
         draw=lambda: draw_path(found, body, coordinate),
     )  # fmt: skip
+    if failure is not None:
+        raise SolveError(re.sub(r" \([^()]*`path\(.*", "", str(failure)))
 
 
 def _drawn(found: Any, over: str | None) -> tuple[str, Any]:

@@ -19,7 +19,7 @@ from .common import (
     prepare_jax,
     reporting_errors,
 )
-from .solve import DriveOption, inputs, LoadOption
+from .solve import draw_solution, DriveOption, inputs, LoadOption
 
 
 class Section(NamedTuple):
@@ -78,10 +78,6 @@ def _sections(model: Any, loads: list, drives: list) -> list[Section]:
     def under_loads() -> Any:
         return equilibrium(model, loads=loads, drives=drives)
 
-    def drawn(solution: Any) -> Any:
-        color = None if solution.stresses is None else "stress"
-        return draw(model, solution, loads=loads, color=color)
-
     def stiffness() -> str:
         return "\n\n".join(str(port_compliance(model, name)) for name in free)
 
@@ -103,7 +99,11 @@ def _sections(model: Any, loads: list, drives: list) -> list[Section]:
     ]
     if loads or drives:
         sections[1:1] = [
-            Section("Equilibrium", under_loads, drawn),
+            Section(
+                "Equilibrium",
+                under_loads,
+                lambda found: draw_solution(model, found, loads),
+            ),
             Section(
                 "Range of motion",
                 lambda: range_of_motion(model, loads=loads, drives=drives),

@@ -45,7 +45,6 @@ def solve(
     Example: twistorjax solve guide.json --load table:5,0 --plot guide.png
     """
     prepare_jax()
-    from ..plotting.drawing import draw
     from ..solve.equilibrium import equilibrium
 
     model = load_mechanism(mechanism)
@@ -62,8 +61,16 @@ def solve(
         record["stresses_Pa"] = by_name(solution.stresses.names, largest)
     print_result(
         solution, record, as_json, plot=plot,
-        draw=lambda: draw(model, solution, loads=loads),
+        draw=lambda: draw_solution(model, solution, loads),
     )  # fmt: skip
+
+
+def draw_solution(mechanism: Any, solution: Any, loads: list) -> Any:
+    """Draw an equilibrium with its loads, colored by the stress if it is known."""
+    from ..plotting.drawing import draw
+
+    color = None if solution.stresses is None else "stress"
+    return draw(mechanism, solution, loads=loads, color=color)
 
 
 def inputs(load: list[str] | None, drive: list[str] | None) -> tuple[list, list]:

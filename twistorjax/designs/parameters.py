@@ -23,7 +23,8 @@ class Parameter(eqx.Module):
     """Number or array that is identified from measurements, or optimized.
 
     Args:
-        value: Initial value, between the bounds.
+        value: Initial value, between the bounds, or at one of them in `optimize` and
+            `explore`.
         unit: Unit of the value, for printing. An array has one unit, or one for each
             entry of its last axis.
         lower: Lower bound, which `identify` excludes and `optimize` includes. Give 0 for
@@ -94,11 +95,13 @@ class Parameter(eqx.Module):
                 "smaller: are the bounds exchanged?"
             )
         low, high = parameter_bounds(self)
-        if not np.all((low < initial) & (initial < high)):
+        if not np.all((low <= initial) & (initial <= high)):
             raise ValueError(
-                f"The value of a `Parameter` is {initial.tolist()}, but must be"
-                f"{self._bounds()}."
+                f"The value of a `Parameter` is {initial.tolist()}, but must not be"
+                f"{self._bounds(' or', ('below', 'above'))}."
             )
+        if lower is not None or upper is not None:
+            return
         change = concrete(self.initial_scale())
         if change is not None and not np.all((change > 0) & np.isfinite(change)):
             raise ValueError(
@@ -161,14 +164,16 @@ class Parameter(eqx.Module):
             scale = xp.where(size > 0, size, xp.max(size))
         return value + scale * change, xp.broadcast_to(scale, value.shape)
 
-    def _bounds(self) -> str:
+    def _bounds(
+        self, word: str = " and", sides: tuple[str, str] = ("above", "below")
+    ) -> str:
         """Text of the bounds, which starts with a space; empty if there is none."""
         texts = [
             f" {side} {bound:g}"
-            for side, bound in (("above", self.lower), ("below", self.upper))
+            for side, bound in zip(sides, (self.lower, self.upper), strict=True)
             if bound is not None
         ]
-        return " and".join(texts)
+        return word.join(texts)
 
     def __repr__(self) -> str:
         initial = concrete(self.value)
@@ -206,6 +211,15 @@ class ParameterSet(eqx.Module):
                 "arrays of them, or `Parameter`s."
             )
         units = tuple(unit for each in parameters for unit in parameter_units(each))
+        for name, parameter in zip(layout.names, parameters, strict=True):
+            initial = concrete(parameter.value)
+            if initial is not None and np.any(
+                np.isin(initial, parameter_bounds(parameter))
+            ):
+                raise ValueError(
+                    f"The parameter {name!r} begins at a bound, which is excluded in an "
+                    f"identification: {parameter!r}. Begin between the bounds."
+                )
         return cls(parameters, layout, names, units)
 
     @property

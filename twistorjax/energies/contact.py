@@ -17,12 +17,16 @@ from .._utils.validation import (
     require_finite,
     require_positive,
     require_row,
+    warn_if_degrees,
+    warn_if_long,
 )
 from ..geometry import se2
 from ..geometry.twistors import Displacement
 from .base import AbstractEnergy, nested, positive_error
 from .dilation import multiply_fields
 
+
+_WIDEST_GAP = 1.0  # of a stop, which must be given in meters; m
 
 Direction = Literal["+angle", "-angle", "+x", "-x", "+y", "-y"]
 
@@ -100,7 +104,8 @@ class Stop(AbstractContact):
     friction, and an impact loses no energy; give the hinge `damping` for that.
 
     Args:
-        direction: Coordinate and direction of the displacement that closes the gap.
+        direction: Coordinate and direction of the displacement that closes the gap: "+x"
+            or "-x" along axis 1, "+y" or "-y" along axis 2, "+angle" or "-angle".
         gap: Displacement at which the stop is reached; m or rad. It may be negative, for
             a hinge that is pressed against the stop in the reference configuration.
         stiffness: Stiffness of the stop; N/m or N m/rad.
@@ -132,6 +137,10 @@ class Stop(AbstractContact):
     ):
         self.direction = require_choice("`direction`", direction, get_args(Direction))
         self.gap = require_finite("`gap`", gap)
+        if direction[1:] == "angle":
+            warn_if_degrees("`gap`", self.gap)
+        else:
+            warn_if_long("`gap`", self.gap, _WIDEST_GAP, "a stop")
         self.stiffness = require_positive("`stiffness`", stiffness)
         self.smoothing = require_positive("`smoothing`", smoothing)
 

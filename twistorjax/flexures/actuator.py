@@ -2,8 +2,11 @@
 
 from .._utils.host import as_float, on_host
 from .._utils.types import NumberLike
-from .._utils.validation import require_positive
+from .._utils.validation import require_length, require_positive, warn_if_long
 from ..energies.quadratic import Quadratic
+
+
+_LONGEST_STROKE = 0.05  # of a stack, which must be given in meters; m
 
 
 def piezo_stack(
@@ -43,8 +46,9 @@ def piezo_stack(
     """
     stroke = require_positive("`free_stroke`", free_stroke)
     force = require_positive("`blocking_force`", blocking_force)
-    length = require_positive("`length`", length)
-    width = require_positive("`width`", width)
+    length = require_length("`length`", length)
+    width = require_length("`width`", width)
+    warn_if_long("`free_stroke`", stroke, _LONGEST_STROKE, "a stack")
     xp, (stroke, force, length, width) = on_host(stroke, force, length, width)
     axial = force / stroke
     bending = axial * width**2 / 12  # E I / L

@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete, on_host
+from .._utils.polygons import centroid
 from .._utils.printing import Printed
 from .._utils.types import (
     Corners,
@@ -19,9 +20,12 @@ from .._utils.validation import (
     require_array,
     require_corners,
     require_finite,
+    require_length,
     require_pose,
     require_positive,
     require_text,
+    warn,
+    warn_if_long,
 )
 from .material import Material
 
@@ -85,6 +89,47 @@ class Body(Printed):
         self.tilt_inertia = None
         if tilt_inertia is not None:
             self.tilt_inertia = _require_inertia(owner, tilt_inertia)
+        _warn_of_inertia(self)
+
+
+# Size of a body from which it seems to be in millimeters; m
+_LARGEST = 15.0
+# Distance from the center of mass to the centroid of the outline, relative to the largest
+# distance of its corners from the origin, above which it is reported
+_OFF_CENTER = 0.25
+# Squares of radii of gyration that are possible, relative to that of the farthest corner
+_GYRATION = 1e-4, 4.0
+
+
+def _warn_of_inertia(body: Body) -> None:
+    """Warn of an outline, a mass, and a moment of inertia that contradict each other."""
+    corners = None if body.outline is None else concrete(body.outline)
+    if corners is None:
+        return
+    owner = f"of the body {body.name!r}"
+    size = np.max(np.ptp(corners, axis=0))
+    warn_if_long(f"The size of the outline {owner}", size, _LARGEST, "a body")
+    mass = None if body.mass is None else concrete(body.mass)
+    if mass is None or mass.shape:
+        return
+    farthest = np.max(np.linalg.norm(corners, axis=1))
+    offset = np.linalg.norm(centroid(corners))
+    if offset > _OFF_CENTER * farthest:
+        warn(
+            f"The mass {owner} is at the origin of its frame, {offset:.4g} m away from "
+            "the centroid of its outline. Move the origin and the outline, or use "
+            "`tj.plate`, if the mass is distributed as the outline."
+        )
+    inertia = None if body.inertia is None else concrete(body.inertia)
+    if inertia is None or inertia.shape:
+        return
+    ratio = float(inertia) / (float(mass) * farthest**2)
+    if not _GYRATION[0] <= ratio <= _GYRATION[1]:
+        warn(
+            f"`inertia` {owner} is {float(inertia):g} kg m^2, but that of {mass:g} kg "
+            f"within its outline is between {_GYRATION[0] * mass * farthest**2:.2g} and "
+            f"{mass * farthest**2:.2g} kg m^2. 1 kg mm^2 is 1e-6 kg m^2."
+        )
 
 
 def _require_inertia(owner: str, given: InertiaLike) -> Float[Array, "2 2"]:
@@ -149,6 +194,7 @@ def plate(
             "give one to `Material`."
         )
     points = require_corners(f"`corners` of the plate {name!r}", corners)
+    require_length(f"`width` of the plate {name!r}", width, material.modulus)
     # Area and moments follow from Green's theorem for triangles from the mean of the
     # corners, so that no digits are lost if the outline is far from the origin.
     xp, (points, density, width) = on_host(points, material.density, width)

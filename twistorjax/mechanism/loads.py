@@ -26,11 +26,16 @@ from .._utils.types import (
 from .._utils.validation import (
     index_of,
     quote,
+    require_instance,
     require_kind,
     require_row,
     warn_if_degrees,
+    warn_if_long,
 )
 from .mechanism import COORDINATES, Mechanism
+
+
+_LONGEST_DRIVE = 1.0  # which must be given in meters; m
 
 
 class Load(Printed):
@@ -139,6 +144,10 @@ class Drive(Printed):
         )
         if self.angle is not None:
             warn_if_degrees(f"`angle` of the drive of {body!r}", self.angle)
+        for name, value in (("x", self.x), ("y", self.y)):
+            if value is not None:
+                owner = f"`{name}` of the drive of {body!r}"
+                warn_if_long(owner, value, _LONGEST_DRIVE, "a mechanism")
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -171,6 +180,7 @@ def weights(
         Array([  0.    ,   0.    , -19.6133], dtype=float64)
     """
     field = require_row("`gravity`", gravity, "(along x, along y)", 2)
+    require_instance("mechanism", mechanism, Mechanism)
     loads = []
     for body, (name, mass) in enumerate(
         zip(mechanism.names, mechanism.masses, strict=True)

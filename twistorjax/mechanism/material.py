@@ -80,7 +80,7 @@ class Material(Printed):
         }
         # A modulus of exactly 1 makes a study dimensionless.
         if concrete(modulus) != 1:
-            _warn_of_units(
+            warn_of_units(
                 modulus=modulus,
                 density=density,
                 expansion=expansion,
@@ -128,23 +128,24 @@ class Material(Printed):
 _STRENGTHS = 1e4, 1e12, "Pa", "500 MPa is 500e6 Pa"
 
 _SOLIDS = {
-    "modulus": (1e3, 1e15, "Pa", "210 GPa is 210e9 Pa"),
+    "modulus": (1e6, 1e15, "Pa", "210 GPa is 210e9 Pa"),
     "density": (10.0, 1e5, "kg/m3", "7.8 g/cm3 is 7800 kg/m3"),
     "expansion": (-0.01, 0.01, "1/K", "12 um/(m K) is 12e-6 1/K"),
     "strength": _STRENGTHS,
     "ultimate_strength": _STRENGTHS,
+    "stress": _STRENGTHS,
 }
 
 
-def _warn_of_units(**values: NumberLike | None) -> None:
+def warn_of_units(**values: NumberLike | None) -> None:
     """Warn of values that no solid has, so that they seem to be in other units."""
     for name, value in values.items():
         low, high, unit, conversion = _SOLIDS[name]
         known = None if value is None else concrete(value)
         if known is not None and known.shape == () and not low <= float(known) <= high:
             warn(
-                f"`{name}` is {float(known):g} {unit}, which is a thousand times off "
-                f"every solid. {conversion}."
+                f"`{name}` is {float(known):g} {unit}, but that of solids is between "
+                f"{low:g} and {high:g} {unit}. {conversion}."
             )
 
 

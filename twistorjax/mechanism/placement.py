@@ -9,10 +9,17 @@ from jaxtyping import Array, Float
 
 from .._utils.host import all_concrete, concrete
 from .._utils.validation import warn
+from ..energies.base import AbstractEnergy, AbstractWrapper
+from ..energies.quadratic import Quadratic
 from ..energies.stress_model import stress_model
 from .body import Body
 from .copies import PartCopies
 from .hinge import AbstractOutline, Hinge
+
+
+# Distances of an end of a flexure from the outline of its body, relative to the length,
+# up to which it is on this body, and above which it is reported
+_NEAR, _FAR = 0.1, 0.25
 
 
 def warn_if_misplaced(
@@ -21,11 +28,11 @@ def warn_if_misplaced(
     ends: Sequence[tuple[int, int]],
     frames: Float[Array, "hinges 3"],
 ) -> None:
-    """Warn of flexures that end far from the outlines of both of their bodies.
+    """Warn of flexures whose ends are far from the outlines of their bodies.
 
-    A flexure is reported if the distance of its ends from both outlines is more than its
-    length. Bodies without an outline, flexures of unknown length, and copies are not
-    checked.
+    Axis 1 of a flexure points from its first body, on which its start is, to its second
+    one. The direction matters if tension and compression differ. Bodies without an
+    outline, flexures of unknown length, and copies are not checked.
     """
     known = concrete(frames)
     if known is None:
@@ -43,15 +50,28 @@ def warn_if_misplaced(
             continue
         axis = np.array([np.cos(angle), np.sin(angle)])
         gaps = _gaps(pair, np.array(center), axis * length / 2)
-        if min(gaps) > length:
+        if max(gaps) > _NEAR * length:
             length = _contour_length(hinge) or length
             gaps = _gaps(pair, np.array(center), axis * length / 2)
-        if min(gaps) > length:
+        if max(gaps) <= _NEAR * length:
+            continue
+        exchanged = _gaps(pair[::-1], np.array(center), axis * length / 2)
+        if max(exchanged) <= _NEAR * length:
+            if _is_symmetric(hinge.energy):
+                continue
             warn(
-                f"The ends of the hinge {hinge.name!r}, of length {length:.4g} m, are "
-                f"{gaps[0]:.4g} m and {gaps[1]:.4g} m away from the outlines of its "
-                f"bodies {hinge.first!r} and {hinge.second!r}. Check the pose `at` "
-                "(angle, x, y) of the hinge, whose axis 1 is along its length."
+                f"The start of the hinge {hinge.name!r} is on its second body, "
+                f"{hinge.second!r}, and its end on its first one, {hinge.first!r}. "
+                "Exchange `first` and `second`, or turn the hinge by pi: axis 1 points "
+                "from the first body to the second."
+            )
+        elif max(gaps) > _FAR * length:
+            warn(
+                f"The start of the hinge {hinge.name!r}, of length {length:.4g} m, is "
+                f"{gaps[0]:.4g} m away from the outline of its first body, "
+                f"{hinge.first!r}, and its end {gaps[1]:.4g} m from that of its second, "
+                f"{hinge.second!r}. Check the pose `at` (angle, x, y) of its middle, "
+                "whose axis 1 points from the first body to the second, and the outlines."
             )
 
 
@@ -60,9 +80,16 @@ def _gaps(
     center: Float[np.ndarray, "2"],
     along: Float[np.ndarray, "2"],
 ) -> list[float]:
-    """Return the distance of each body from the nearest end of a hinge; m."""
+    """Return the distances of two bodies from the start and the end of a hinge; m."""
     tips = center - along, center + along
-    return [min(_distance(body, tip) for tip in tips) for body in bodies]
+    return [_distance(body, tip) for body, tip in zip(bodies, tips, strict=True)]
+
+
+def _is_symmetric(energy: AbstractEnergy) -> bool:
+    """Decide whether both bodies of a hinge may be exchanged, as in a quadratic form."""
+    while isinstance(energy, AbstractWrapper):
+        energy = energy.energy
+    return isinstance(energy, Quadratic)
 
 
 def _contour_length(hinge: Hinge) -> float | None:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 from typing_extensions import TypeAliasType
 
-from .._utils.validation import quote
+from .._utils.validation import quote, require_instance
 from ..mechanism.mechanism import Mechanism
 from ..results.solutions import BodyPoses
 from ..solve.continuation.solution import Path
@@ -108,6 +108,7 @@ def animate(
     """
     from matplotlib.animation import FuncAnimation
 
+    require_instance("mechanism", mechanism, Mechanism)
     mechanism = with_flexure_outlines(mechanism)
     unit, unit_name = length_unit(mechanism_size(mechanism))
     if isinstance(motion, OutOfPlaneVibrations):
@@ -122,7 +123,7 @@ def animate(
         sequence = _frames(mechanism, motion, mode, magnify, slower, frames)
         displacements = (sequence.poses - np.asarray(mechanism.reference)) / magnify
         values, label = part_values(mechanism, displacements, color, label)
-        drawn = [shapes(mechanism, poses) for poses in sequence.poses]
+        drawn = [shapes(mechanism, poses, magnify) for poses in sequence.poses]
         titles, interval, names = sequence.titles, sequence.interval, ("x", "y")
     corners = np.concatenate([shape.corners for frame in drawn for shape in frame])
     if axes is None:

@@ -13,6 +13,7 @@ from .._utils.validation import (
     index_of,
     listing,
     quote,
+    require_finite,
     require_instance,
     require_names,
 )
@@ -104,7 +105,8 @@ def draw(
         mechanism: The mechanism.
         poses: Poses of its bodies (rad, m, m), an equilibrium, or a motion, of which the
             last pose is drawn. By default the reference configuration is drawn.
-        magnify: Factor on all displacements, including angles. It is stated in the title.
+        magnify: Factor on all displacements, including angles, and on the gaps of stops.
+            It is stated in the title.
         reference: Whether the reference configuration is shown by dotted lines.
         names: Whether bodies and hinges are labeled with their names, or the names of
             those that are, for example not of all segments of a chain; by default only if
@@ -141,6 +143,7 @@ def draw(
     from matplotlib.colors import to_rgba
 
     require_instance("mechanism", mechanism, Mechanism)
+    magnify = float(require_finite("`magnify`", magnify))
     mechanism = with_flexure_outlines(mechanism)
     undeformed = np.asarray(mechanism.reference)
     displacements = _displacements(mechanism, poses)
@@ -148,7 +151,7 @@ def draw(
     size = mechanism_size(mechanism)
     unit, unit_name = length_unit(size)
     values, label = part_values(mechanism, displacements[None], color, label)
-    drawn = shapes(mechanism, drawn_poses)
+    drawn = shapes(mechanism, drawn_poses, magnify)
     if axes is None:
         corners = np.concatenate([shape.corners for shape in drawn])
         axes = new_axes(figure_size(corners, bool(values)))

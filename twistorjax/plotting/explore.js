@@ -206,7 +206,8 @@ function addScale(drawing, page) {
   const place = { x: left + length + 0.01 * size, y: y + 0.01 * size };
   const text = element("text", place, drawing, SVG);
   text.style.fontSize = `${0.03 * size}px`;
-  text.textContent = `${length} ${page.unit}`;
+  const factor = page.magnify === 1 ? "" : `; displacements magnified ${page.magnify} times`;
+  text.textContent = `${length} ${page.unit}${factor}`;
 }
 
 // Round numbers between two bounds
@@ -265,5 +266,9 @@ function drawChart(chart, page, shown, state, values) {
   if (here !== null) {
     const place = { cx: px(values[shown.over]), cy: py(here), r: 5, fill: "#d55e00" };
     element("circle", place, chart, SVG);
+    const side = place.cx > (x0 + x1) / 2 ? -1 : 1;
+    const anchor = side < 0 ? "end" : "start";
+    const above = place.cy > y1 + 30 ? -8 : 18;
+    write(rounded(here), place.cx + 8 * side, place.cy + above, anchor, { "font-weight": "bold" });
   }
 }

@@ -18,7 +18,9 @@ from .._compile.compilation import fast_compile
 from .._utils.html import page
 from .._utils.types import NumberLike
 from .._utils.validation import (
+    compilation_error,
     quote,
+    require_finite,
     require_float64,
     require_package,
     require_shape,
@@ -64,7 +66,14 @@ class Explorer:
         build: Callable[[Any], Any],
         parameters: Mapping[str, Any],
         curves: Mapping[str, Curve],
+        magnify: NumberLike,
     ):
+        for argument, given in (("parameters", parameters), ("curves", curves)):
+            if not isinstance(given, Mapping):
+                raise ValueError(
+                    f"`{argument}` is {quote(given)}, but must be a mapping from names."
+                )
+        self._magnify = float(require_finite("`magnify`", magnify))
         variables = {
             name: parameter
             for name, parameter in parameters.items()
@@ -111,7 +120,10 @@ class Explorer:
             for column, bounds in enumerate(self._bounds)
             for bound in bounds
         ]
-        first, *others = self._states(np.array([start, *ends]))
+        try:
+            first, *others = self._states(np.array([start, *ends]))
+        except jax.errors.JAXTypeError as error:
+            raise compilation_error("build", "of the design", error) from error
         if not first.drawn:
             raise ValueError(
                 f"The values of `parameters` cannot be drawn: {first.message}"
@@ -145,6 +157,7 @@ class Explorer:
             "box": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
             "shapes": [[kind, len(corners)] for kind, corners in first.drawn],
             "colors": COLORS,
+            "magnify": self._magnify,
         }
 
     @cached_property
@@ -262,9 +275,8 @@ class Explorer:
             succeeded = name == "successful"
             parts = []
             if succeeded and (drawn is None or k < drawn):
-                parts = _drawn(
-                    jax.tree.map(lambda leaf, k=k: leaf[k], mechanisms), poses[k]
-                )
+                mechanism = jax.tree.map(lambda leaf, k=k: leaf[k], mechanisms)
+                parts = _drawn(mechanism, poses[k], self._magnify)
             numbers = [
                 x if succeeded and np.isfinite(x) else None for x in table[k].tolist()
             ]
@@ -277,6 +289,8 @@ def explore(
     build: Callable[[Any], Any],
     parameters: Mapping[str, Any],
     curves: Mapping[str, Curve] = MappingProxyType({}),
+    *,
+    magnify: NumberLike = 1.0,
 ) -> Explorer:
     """Change parameters and loads of a mechanism by sliders.
 
@@ -290,7 +304,10 @@ def explore(
         parameters: One design. Each `Parameter` in it has a slider between its bounds,
             which begins at its value. Other values are constants.
         curves: Functions of the mechanism and its equilibrium, by the labels of their
-            axis, for example `{"x (mm)": lambda mechanism, solution: ...}`.
+            axis, for example `{"x (mm)": lambda mechanism, solution: ...}`. They are
+            traced.
+        magnify: Factor on the displacements that are drawn, such as 100 for the strokes
+            of a piezoelectric stack.
 
     Returns:
         The explorer. JupyterLab, VS Code, and marimo display it (extra `explore`), in
@@ -326,18 +343,23 @@ def explore(
         ...     explorer.save(f"{folder}/spring.html", levels=5)
     """
     require_float64(jnp.zeros(0))
-    return Explorer(build, parameters, curves)
+    return Explorer(build, parameters, curves, magnify)
 
 
 def _drawn(
-    mechanism: Mechanism, poses: Float[np.ndarray, "bodies 3"]
+    mechanism: Mechanism, poses: Float[np.ndarray, "bodies 3"], magnify: float
 ) -> list[tuple[str, np.ndarray]]:
     """Return kinds and corners (m) of the bodies before, and of all parts now."""
     mechanism = with_flexure_outlines(mechanism)
-    before = shapes(mechanism, np.asarray(mechanism.reference))
+    reference = np.asarray(mechanism.reference)
+    moved = shapes(mechanism, reference + magnify * (poses - reference), magnify)
     return [
-        *(("reference", shape.corners) for shape in before if shape.part[0] == "body"),
-        *((shape.kind, shape.corners) for shape in shapes(mechanism, poses)),
+        *(
+            ("reference", shape.corners)
+            for shape in shapes(mechanism, reference)
+            if shape.part[0] == "body"
+        ),
+        *((shape.kind, shape.corners) for shape in moved),
     ]
 
 

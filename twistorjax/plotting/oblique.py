@@ -130,8 +130,8 @@ def drawn_displacements(
             f"`mode` is {quote(mode)}, but there are {len(frequencies)} vibrations: give "
             f"an index from 0 to {len(frequencies) - 1}."
         )
-    title = f"vibration at {frequencies[mode]:.5g} Hz, arbitrary amplitude"
-    return poses, np.asarray(found.shapes)[mode], title
+    title = f"vibration out of the plane at {frequencies[mode]:.5g} Hz"
+    return poses, np.asarray(found.shapes)[mode], f"{title}, arbitrary amplitude"
 
 
 def vibration_shapes(

@@ -109,8 +109,14 @@ def _flexure_outline(energy: AbstractEnergy, longest: float) -> Corners | None:
     return leaf_outline(length=length, thickness=thickness)
 
 
-def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
-    """Compute outlines: of bodies, then lines of bodies without one, then of hinges."""
+def shapes(
+    mechanism: Mechanism, poses: np.ndarray, magnify: float | int = 1.0
+) -> list[Shape]:
+    """Compute outlines: of bodies, then lines of bodies without one, then of hinges.
+
+    The gaps of stops are magnified, as are the displacements to the given poses, so that
+    the faces of a closed stop meet.
+    """
     bodies, lines, hinges = [], [], []
     outlines, halves = mechanism.outlines.on_host(), _half_lengths(mechanism)
     for body, outline in enumerate(outlines):
@@ -147,7 +153,7 @@ def shapes(mechanism: Mechanism, poses: np.ndarray) -> list[Shape]:
                 (tip,) = to_world(frame, np.array([[end, _axis_at(corners, end)]]))
                 lines.append(Shape("line", np.stack([poses[body][1:], tip]), body))
         if outline is None and hinge in stops:
-            pairs = zip(frames, _faces(stops[hinge], radius), strict=True)
+            pairs = zip(frames, _faces(stops[hinge], magnify, radius), strict=True)
             faces = [to_world(frame, face) for frame, face in pairs]
             hinges += [Shape("spring", face, hinge) for face in faces]
         elif outline is None and half > 0:
@@ -259,12 +265,12 @@ def _stops(mechanism: Mechanism) -> dict[int, Stop]:
     }
 
 
-def _faces(stop: Stop, radius: float) -> list[np.ndarray]:
+def _faces(stop: Stop, magnify: float, radius: float) -> list[np.ndarray]:
     """Return the faces of a stop in the frames on body A and on body B; m.
 
-    They meet where the gap is closed.
+    They meet where the magnified gap is closed.
     """
-    gap = float(stop.gap) * (1.0 if stop.direction[0] == "+" else -1.0)
+    gap = magnify * float(stop.gap) * (1.0 if stop.direction[0] == "+" else -1.0)
     if stop.direction[1:] == "angle":
         directions = np.stack([np.cos([gap, 0.0]), np.sin([gap, 0.0])], axis=1)
         return [3 * radius * np.outer([0.0, 1.0], tip) for tip in directions]

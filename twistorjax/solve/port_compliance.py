@@ -111,12 +111,15 @@ class PortCompliance(eqx.Module):
         first, second = np.asarray(self.principal_stiffnesses)
         x, y = np.asarray(self.principal_directions)[0]
         direction = np.degrees(np.arctan2(y, x))
+        along = 1 / np.diagonal(known[0])[1:]
         lines = [
             f"port on {self.body!r}: center of compliance at ({center[0]:.6g}, "
-            f"{center[1]:.6g}) m",
+            f"{center[1]:.6g}) m from it",
             f"rotational stiffness     {float(self.rotational_stiffness):.6g} N m/rad",
             f"principal stiffnesses    {first:.6g} N/m at {direction % 180:.4g} degrees, "
             f"{second:.6g} N/m across",
+            f"if all else is free      {along[0]:.6g} N/m along x, {along[1]:.6g} N/m "
+            "along y",
             "stiffness at the port    (N m/rad, N/rad, N/m)",
         ]
         lines += [" ".join(f"{value:>14.6g}" for value in row) for row in stiffness]
@@ -168,9 +171,10 @@ def port_compliance(
         >>> bodies = [Body("base"), Body("table")]
         >>> mechanism = Mechanism(bodies, [hinge], fixed=["base"])
         >>> port_compliance(mechanism, "table")
-        port on 'table': center of compliance at (0.1, 0) m
+        port on 'table': center of compliance at (0.1, 0) m from it
         rotational stiffness     2 N m/rad
         principal stiffnesses    80 N/m at 90 degrees, 50 N/m across
+        if all else is free      50 N/m along x, 57.1429 N/m along y
         stiffness at the port    (N m/rad, N/rad, N/m)
                    2.8              0              8
                      0             50              0

@@ -18,6 +18,7 @@ from .._utils.validation import index_of, require_positive
 from ..assembly.stress import rows_with_stress, strengths
 from ..mechanism.constraints import AbstractConstraint
 from ..mechanism.loads import Drive, Load, LoadSet
+from ..mechanism.material import warn_of_units
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import (
     finish,
@@ -235,6 +236,7 @@ def _allowable(
     for name, value in given.items():
         index_of("`stress`", "hinge", name, known)
         limit = require_positive(f"`stress` of the hinge {name!r}", value)
+        warn_of_units(stress=limit)
         limits = limits.at[names.index(name)].set(limit)
     if not known:
         raise ValueError(

@@ -137,7 +137,8 @@ class Tolerances(NamedTuple):
         ]
         for name, derivative, first_order, sampled in self.variance_shares[:20]:
             lines.append(
-                f"{name:<{width}}  {derivative:>12.5g}  {100 * first_order:>9.2f} %  "
+                f"{name:<{width}}  {derivative + 0.0:>12.5g}  "  # no negative zero
+                f"{abs(100 * first_order):>9.2f} %  "
                 f"{100 * sampled:>7.2f} %"
             )
         if len(self.variance_shares) > 20:

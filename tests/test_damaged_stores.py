@@ -287,3 +287,23 @@ def test_only_the_chunk_of_a_damaged_checksum_is_missing(template, tmp_path, con
     for file, time in before.items():
         changed = (path / file).stat().st_mtime_ns != time
         assert not changed or "/c/1" in file
+
+
+def test_a_store_of_the_older_zarr_format_is_refused(tmp_path):
+    """Its arrays may contain pickled objects, which are programs."""
+    import zarr
+
+    from twistorjax.sweeps.stores.creation import FORMAT
+    from twistorjax.sweeps.stores.files import write_manifest
+
+    path = tmp_path / "s.zarr"
+    group = zarr.open_group(path, mode="w", zarr_format=2)
+    group.create_array("sum", shape=(1,), chunks=(1,), dtype="f8")
+    sums = group.create_group("finished").create_array(
+        "sums", shape=(1,), chunks=(1,), dtype="uint64"
+    )
+    sums[0] = 1
+    keys = {"identity": {"chunk_size": 1}, "grid": [], "coordinates": {}}
+    write_manifest(path, {"format": FORMAT, "outputs": ["sum"], **keys})
+    with pytest.raises(OSError, match="cannot be read"):
+        tj.sweeps.open_sweep(path)

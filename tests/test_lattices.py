@@ -90,7 +90,7 @@ def test_springs_of_a_field_of_stiffnesses_act_in_series(traced):
     assert_close(gradient, -force * flexibility / stiffness)
 
 
-def test_rotating_squares_on_stiff_joints_contract_in_both_directions():
+def test_rotating_squares_on_stiff_joints_contract_in_both_directions(validated):
     """The pitch is that of open squares times the cosine of the angle."""
     stiff = tj.Quadratic(np.diag([1.0, 1e9, 1e9]))
     cell = tj.lattices.rotating_squares(stiff, pitch=PITCH, angle=0.3)
@@ -98,8 +98,10 @@ def test_rotating_squares_on_stiff_joints_contract_in_both_directions():
     strain = np.cos(0.5) / np.cos(0.3) - 1
     gradient = strain * np.eye(2)
     pressed = tj.equilibrium(one, constraints=cell.periodicity(gradient))
-    angles = pressed.displacements[:4, 0]
-    assert_close(np.asarray(angles) * np.array([1, -1, -1, 1]), 4 * [0.2], digits=6)
+    angles = np.asarray(pressed.displacements)[:4, 0] * np.array([1, -1, -1, 1])
+    assert_close(angles, 4 * [0.2], digits=6)
+    name = "rotation of squares that are compressed in both directions"
+    validated("Lattices", name, angles, np.full(4, 0.2), "the closed form")
 
 
 def test_neighbors_touch_where_their_edges_are_parallel():
@@ -228,11 +230,13 @@ def two_masses(light, count):
 GAP = np.sqrt(200.0 / np.array([3.0, 1.0]))  # (2 k / m)^0.5 of both masses; rad/s
 
 
-def test_two_masses_in_a_cell_have_the_band_gap_of_the_closed_form():
+def test_two_masses_in_a_cell_have_the_band_gap_of_the_closed_form(validated):
     def edges(light):
         return 2 * np.pi * two_masses(light, 1).frequencies[0]
 
     assert_close(edges(1.0), GAP, digits=10)
+    name = "edges of the band gap of a row of two masses"
+    validated("Vibrations and waves", name, edges(1.0), GAP, "the closed form")
     gap = jax.grad(lambda light: jnp.diff(edges(light))[0])(1.0)
     assert_close(gap, -GAP[1] / 2, digits=9)
 
@@ -310,7 +314,7 @@ def stretched_string(strain):
     return cell, tj.equilibrium(one, constraints=constraints)
 
 
-def test_a_tensioned_string_carries_transverse_waves():
+def test_a_tensioned_string_carries_transverse_waves(validated):
     """The frequency is 2 (T / (m a))^0.5 sin(k a / 2), with the stretched pitch a."""
     cell, about = stretched_string(0.2)
     waves = cell.wave_vectors([(0.1,), (0.5,)], 5)
@@ -320,9 +324,10 @@ def test_a_tensioned_string_carries_transverse_waves():
     tension = 100.0 * 0.2 * PITCH
     transverse = 2 * np.sqrt(tension / (MASS * 1.2 * PITCH)) * sines
     along = 2 * np.sqrt(100.0 / MASS) * sines
-    assert_close(
-        2 * np.pi * np.asarray(found), np.stack([transverse, along], 1), digits=9
-    )
+    computed, expected = 2 * np.pi * np.asarray(found), np.stack([transverse, along], 1)
+    assert_close(computed, expected, digits=9)
+    name = "waves in a stretched row of masses"
+    validated("Vibrations and waves", name, computed, expected, "the closed form")
 
 
 def test_a_compressed_string_is_not_stable():
@@ -356,7 +361,7 @@ def test_dispersions_are_tables():
     assert table["shape_x"].shape == (3, 2, 1)
 
 
-def test_waves_in_both_states_of_a_bistable_chain_have_the_closed_form():
+def test_waves_in_both_states_of_a_bistable_chain_have_the_closed_form(validated):
     """The stiffness in both states is 32 barrier / distance^2."""
     distance, barrier, link = 5e-3, 1e-3, 80.0
     cell = tj.lattices.bistable_chain(
@@ -371,7 +376,10 @@ def test_waves_in_both_states_of_a_bistable_chain_have_the_closed_form():
     switched[[0, 2], 1] += distance
     for about in (None, switched):
         found = tj.dispersion(cell, waves, fixed=fixed, about=about).frequencies[:, 0]
-        assert_close(2 * np.pi * np.asarray(found) / expected, np.ones(5), digits=9)
+        computed = 2 * np.pi * np.asarray(found)
+        assert_close(computed / expected, np.ones(5), digits=9)
+    name = "waves in the second state of a bistable chain"
+    validated("Vibrations and waves", name, computed, expected, "the closed form")
     spring = cell.hinges[0].energy
     assert_close(spring([0.0, distance / 2, 0.0]) / barrier, 1.0)
 

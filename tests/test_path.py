@@ -501,7 +501,7 @@ class TestEqualBucklingLoads:
         assert_close(found.critical_points.load_factors, expected, digits=8)
 
     @pytest.mark.parametrize("turns", [(1, 0), (0, -1), (1, -1)])
-    def test_branches_of_a_double_branch_point(self, turns):
+    def test_branches_of_a_double_branch_point(self, turns, validated):
         """A link of the buckling load 1 is at the angle a where the factor is a / sin a.
 
         Either link buckles, or both of them.
@@ -518,6 +518,10 @@ class TestEqualBucklingLoads:
         expected = angles / np.sinc(angles / np.pi)
         factors = np.asarray(branch.load_factors)[1:, None]
         np.testing.assert_allclose(factors * angles, expected, atol=1e-9)
+        name = f"branch {turns} of a double branch point"
+        validated(
+            "Equilibrium paths", name, factors * angles, expected, "the closed form"
+        )
 
     def test_a_direction_that_is_no_branch(self):
         links, arguments = self.straight(1.0, 1.0, 1.5)

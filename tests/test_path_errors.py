@@ -47,6 +47,7 @@ def test_a_limit_point_is_no_start():
         energy=jnp.array(1.0),
         names=truss.names,
         mode=jnp.zeros((2, 3)),
+        reactions=jnp.zeros((2, 3)),
         is_branch=jnp.array(False),
         length=jnp.array(1.0),
     )

@@ -128,7 +128,7 @@ class Material(Printed):
 _STRENGTHS = 1e4, 1e12, "Pa", "500 MPa is 500e6 Pa"
 
 _SOLIDS = {
-    "modulus": (1e6, 1e15, "Pa", "210 GPa is 210e9 Pa"),
+    "modulus": (3e5, 1e15, "Pa", "210 GPa is 210e9 Pa"),
     "density": (10.0, 1e5, "kg/m3", "7.8 g/cm3 is 7800 kg/m3"),
     "expansion": (-0.01, 0.01, "1/K", "12 um/(m K) is 12e-6 1/K"),
     "strength": _STRENGTHS,

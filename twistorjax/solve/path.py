@@ -205,6 +205,7 @@ def _first_points(found: Path, count: int) -> Path:
         "load_factors",
         "displacements",
         "energies",
+        "reactions",
         "modes",
         "is_branch",
         "multiplicities",

@@ -303,7 +303,9 @@ def _dataset(
     import xarray
 
     with clear_errors(opened.path, "read"):
-        table = xarray.open_zarr(opened.path, consolidated=False, chunks=None)
+        table = xarray.open_zarr(
+            opened.path, consolidated=False, chunks=None, zarr_format=3
+        )
     # The order in which zarr finds the arrays is that of the file system.
     coordinates = {name: table.coords[name] for name in sorted(map(str, table.coords))}
     outputs = {name: table[name].variable for name in opened.output_names}

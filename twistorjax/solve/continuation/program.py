@@ -186,6 +186,7 @@ def evaluate_path(
             displacements=critical.displacements,
             reference=mechanism.reference,
             energies=critical.energy,
+            reactions=critical.reactions,
             modes=_masked(found, modes),
             is_branch=criticals.is_branch,
             multiplicities=criticals.multiplicities,

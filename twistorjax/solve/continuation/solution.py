@@ -46,12 +46,15 @@ class CriticalPoint(PathPoint):
         mode: Displacements of the bodies in the direction without stiffness: rotations,
             and translations over the characteristic length of the mechanism, of unit
             norm.
+        reactions: External wrench on the fixed and prescribed degrees of freedom of each
+            body, such as the force at which a driven mechanism snaps; N m, N, N.
         is_branch: Whether this is a branch point.
         length: Characteristic length of the mechanism; m.
         multiplicity: Number of eigenvalues of the stiffness that vanish at this point.
     """
 
     mode: Poses
+    reactions: Poses
     is_branch: Flag
     length: Scalar
     multiplicity: NumberLike = 1
@@ -81,6 +84,8 @@ class CriticalPoints(eqx.Module):
         displacements: Displacements of the bodies; rad, m, m.
         reference: Poses from which displacements are measured; rad, m, m.
         energies: Energy stored in the hinges; J.
+        reactions: External wrenches on fixed and prescribed degrees of freedom; N m, N,
+            N.
         modes: Displacements without stiffness; see `CriticalPoint`.
         is_branch: Whether each of them is a branch point.
         multiplicities: Number of eigenvalues of the stiffness that vanish at each of
@@ -96,6 +101,7 @@ class CriticalPoints(eqx.Module):
     displacements: Float[Array, "*batch critical bodies 3"]
     reference: Float[Array, "*batch bodies 3"]
     energies: Float[Array, "*batch critical"]
+    reactions: Float[Array, "*batch critical bodies 3"]
     modes: Float[Array, "*batch critical bodies 3"]
     is_branch: Bool[Array, "*batch critical"]
     multiplicities: Int[Array, "*batch critical"]
@@ -117,6 +123,7 @@ class CriticalPoints(eqx.Module):
             energy=self.energies[index],
             names=self.names,
             mode=self.modes[index],
+            reactions=self.reactions[index],
             is_branch=self.is_branch[index],
             length=self.length,
             multiplicity=self.multiplicities[index],

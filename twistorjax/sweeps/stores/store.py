@@ -78,7 +78,8 @@ class Store:
             raise damage_error(self.path, f"its file {damaged[0]!r}", remedy)
         with clear_errors(self.path, "read"):
             zarr = require_package("zarr", "Stores", "data")
-            group = zarr.open_group(self.path, mode=mode)
+            # Arrays of the older format may contain pickled objects, that is, programs.
+            group = zarr.open_group(self.path, mode=mode, zarr_format=3)
             self._checksums = group["finished/sums"]
             self._arrays = {name: group[name] for name in self.output_names}
         return self

@@ -15,7 +15,9 @@ from twistorjax.energies.validity import WithValidityRange
 
 
 # A square section with sides of 1 m has the bending stiffness E I = 100 N m^2.
-SOFT = tj.Material(modulus=1200.0, poisson=0.3)
+with warnings.catch_warnings():
+    warnings.filterwarnings("ignore", "`modulus` is 1200 Pa")
+    SOFT = tj.Material(modulus=1200.0, poisson=0.3)
 LENGTH, STIFFNESS = 10.0, 100.0
 ROUND = 2 * np.pi / LENGTH  # curvature of a beam whose ends meet; 1/m
 

@@ -165,9 +165,12 @@ def test_displacements_may_be_magnified():
     for magnify in (1.0, 3.0):
         explorer = tj.explore(spring, PARAMETERS, magnify=magnify)
         explorer.widget.request = {"number": 1, "values": [500.0, 0.1], "over": 1}
+        counts = [count for _, count in explorer.widget.page["shapes"]]
         points = np.array(explorer.widget.state["points"]).reshape(-1, 2)
+        corners = np.split(points, np.cumsum(counts)[:-1])
         # The square of the tip at rest, and displaced
-        moved.append(np.mean(points[4:8] - points[:4], axis=0)[1])
+        rest, displaced = (part for part in corners if len(part) == 4)
+        moved.append(np.mean(displaced - rest, axis=0)[1])
     np.testing.assert_allclose(moved[1], 3 * moved[0], rtol=1e-4)
 
 

@@ -35,7 +35,7 @@ from .._utils.validation import (
 from .mechanism import COORDINATES, Mechanism
 
 
-_LONGEST_DRIVE = 1.0  # which must be given in meters; m
+_LONGEST_DRIVE = 1.5  # which must be given in meters; m
 
 
 class Load(Printed):

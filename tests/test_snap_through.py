@@ -291,6 +291,7 @@ class TestStiffBarOnSoftSprings:
         return node, node + (force + self.BACK * node) / self.PULL
 
     @pytest.mark.slow
+    @pytest.mark.filterwarnings("ignore:`x` of the drive")  # without units
     def test_an_equilibrium_just_before_the_fold_and_none_behind_it(self):
         fold = scipy.optimize.minimize_scalar(
             lambda up: -self.node_and_load(up)[1], bounds=(100.0, 2500.0),

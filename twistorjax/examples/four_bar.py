@@ -135,13 +135,13 @@ def four_bar(
     link_3 = (top_2 + top_4) / 2 + _WIDTH / 2
 
     def hinge(name: str, first: str, second: str, x: float, y: NumberLike) -> Hinge:
-        flexure = flexures[name]
+        flexure, up = flexures[name], jnp.pi / 2
         return Hinge(
             name,
             first,
             second,
             energies.get(name, flexure.energy),
-            at=(jnp.pi / 2, x, y),
+            at=(up if x < 0 else -up, x, y),  # up on the left, down on the right
             damping=damping,
             outline=flexure.outline,
         )

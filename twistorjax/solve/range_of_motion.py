@@ -171,8 +171,8 @@ def range_of_motion(
         >>> moment = tj.Load("block", moment=0.05)
         >>> range_of_motion(mechanism, loads=[moment], stress=300e6)
         side      factor of the input  largest translation (m)  limit
-        backward                 -2.5               0.00705946  stress in 'leaf'
-        forward                   2.5               0.00705946  stress in 'leaf'
+        backward                 -2.5              0.000339442  stress in 'leaf'
+        forward                   2.5              0.000339442  stress in 'leaf'
     """
     if not loads and not drives and not strokes:
         raise ValueError("The input is empty. Give `loads`, `drives`, or `strokes`.")

@@ -45,7 +45,9 @@ def check_extras(folder: pathlib.Path) -> None:
     push = tj.Load("table", force=(1.0, 0.0))
     found = tj.equilibrium(guide, loads=[push])
 
-    tj.draw(guide, found).figure.savefig(folder / "guide.svg")  # show
+    figure = tj.draw(guide, found).get_figure(root=True)  # show
+    assert figure is not None
+    figure.savefig(folder / "guide.svg")
 
     def study(design):
         load = tj.Load("table", force=(design["force"], 0.0))

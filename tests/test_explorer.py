@@ -177,6 +177,6 @@ def test_displacements_may_be_magnified():
 @pytest.mark.untyped
 def test_wrong_arguments_are_explained():
     with pytest.raises(ValueError, match=r"`curves` is .* must be a mapping from names"):
-        tj.explore(spring, PARAMETERS, height)
+        tj.explore(spring, PARAMETERS, height)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="`build` is a function that JAX cannot compile"):
         tj.explore(spring, PARAMETERS, {"y": lambda _, at: float(at.energy)})

@@ -498,7 +498,7 @@ def test_properties_of_no_solid_are_noticed(values):
         tj.Material(**{"modulus": 210e9, "poisson": 0.3, **values})
 
 
-SQUARE = 1e-2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+CENTERED = 1e-2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 @pytest.mark.parametrize(
@@ -506,16 +506,15 @@ SQUARE = 1e-2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     [
         ({"inertia": 66.7}, r"between 2e-08 and 0.0002 kg m\^2. 1 kg mm\^2 is 1e-6"),
         ({"inertia": 66.7e-12}, r"1 kg mm\^2 is 1e-6"),
-        ({"outline": SQUARE + np.array([0.0, 0.02])}, "0.02 m away from the centroid"),
-        ({"outline": 1e3 * SQUARE}, "The size of the outline of the body 'a' is 20 m"),
+        ({"outline": CENTERED + np.array([0.0, 0.02])}, "0.02 m away from the centroid"),
+        ({"outline": 1e3 * CENTERED}, "The size of the outline of the body 'a' is 20 m"),
     ],
 )
 def test_a_mass_that_contradicts_the_outline_is_noticed(settings, text):
-    usual = {"mass": 1.0, "inertia": 66.7e-6, "outline": SQUARE}
+    usual: dict[str, Any] = {"mass": 1.0, "inertia": 66.7e-6, "outline": CENTERED}
     tj.Body("a", **usual)  # a warning is an error
-    tj.Body(
-        "a", outline=SQUARE + np.array([0.0, 0.02])
-    )  # in statics, the frame may be anywhere
+    # In statics, the frame may be anywhere.
+    tj.Body("a", outline=CENTERED + np.array([0.0, 0.02]))
     if "outline" in settings:
         usual.pop("inertia")
     with pytest.warns(UserWarning, match=text):
@@ -524,11 +523,11 @@ def test_a_mass_that_contradicts_the_outline_is_noticed(settings, text):
 
 def test_a_plate_in_millimeters_is_noticed():
     steel = tj.Material(210e9, 0.3, density=7800.0)
-    tj.plate("a", SQUARE, width=0.01, material=steel)
+    tj.plate("a", CENTERED, width=0.01, material=steel)
     with pytest.warns(UserWarning, match="`width` of the plate 'a' is 10 m"):
-        tj.plate("a", SQUARE, width=10.0, material=steel)
+        tj.plate("a", CENTERED, width=10.0, material=steel)
     with pytest.warns(UserWarning, match="The size of the outline of the body 'a'"):
-        tj.plate("a", 2e3 * SQUARE, width=0.01, material=steel)
+        tj.plate("a", 2e3 * CENTERED, width=0.01, material=steel)
 
 
 @pytest.mark.parametrize(

@@ -112,8 +112,8 @@ class Elastica:
             k4 = rate(state + h * k3)
             state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         x, y = self.end
-        gap = state[:, 0].real - [self.direction, x - displacement / LENGTH, y]
-        return gap, state[:, 1:].imag / 1e-30
+        gap = np.real(state[:, 0]) - [self.direction, x - displacement / LENGTH, y]
+        return gap, np.imag(state[:, 1:]) / 1e-30
 
     def load(self, displacement, load):
         """Return the load at a displacement, from a load that is near."""

@@ -105,7 +105,7 @@ def main(
     page = Path(__file__).parent / "manual" / "validation.md"
     if not check:
         page.write_text(text + TAIL)
-    elif _quantities(page.read_text()) != _quantities(text):
+    elif _quantities(page.read_text()) != _quantities(text + TAIL):
         raise SystemExit(
             "manual/validation.md has other rows than the tests: run "
             "`python notebooks/validation.py` with the new report."

@@ -34,13 +34,13 @@ def test_the_readme_lists_all_packages_from_the_lowest_to_the_highest():
     assert {path.parent.name for path in PACKAGE.glob("*/__init__.py")} == set(packages)
 
 
-def test_one_version_is_told_everywhere():
-    told = {
+def test_all_files_state_the_same_version():
+    patterns = {
         "README.md": r"version = \{(.*)\}",
         "CITATION.cff": r"^version: (.*)$",
         "CHANGELOG.md": r"^## (\d\S*) \(\d{4}-\d\d-\d\d\)$",
     }
-    for name, pattern in told.items():
+    for name, pattern in patterns.items():
         found = re.search(pattern, (ROOT / name).read_text(), re.M)
         assert found is not None and found[1] == tj.__version__, name
 

@@ -1,4 +1,6 @@
-"""Closed polygons: edges that cross each other, and the centroid."""
+"""Closed polygons: edges that cross each other, area, and centroid."""
+
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,15 +15,20 @@ Points = Float[np.ndarray, "_ 2"]
 Pairs = Int[np.ndarray, "_ 2"]
 
 
-def centroid(corners: Points) -> Float[np.ndarray, "2"]:
-    """Return the centroid of the area of a closed polygon."""
-    middle = corners.mean(axis=0)
-    start = corners - middle
-    end = np.roll(start, -1, axis=0)
+def area_and_centroid(xp: Any, corners: Any) -> tuple[Any, Any]:
+    """Compute the area (positive if counterclockwise) and the centroid of a polygon.
+
+    They follow from Green's theorem for triangles from the mean of the corners, so that
+    no digits are lost if the polygon is far from the origin. `xp` is the module of the
+    array: numpy or jax.numpy. The centroid is the mean corner if there is no area.
+    """
+    middle = xp.mean(corners, axis=0)
+    start = corners - middle[None]
+    end = xp.roll(start, -1, axis=0)
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
-    # Without an area, it is the mean corner.
-    area = 3 * np.sum(cross) or np.inf
-    return middle + np.sum((start + end) * cross[:, None], axis=0) / area
+    area = xp.sum(cross) / 2
+    moment = xp.sum((start + end) * cross[:, None], axis=0)
+    return area, middle + moment / (6 * xp.where(area == 0, np.inf, area))
 
 
 def crossing_edges(corners: Points) -> tuple[int, int] | None:

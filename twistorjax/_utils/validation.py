@@ -249,7 +249,7 @@ def require_length(
 def warn_if_long(name: str, value: NumberLike, longest: float, part: str) -> None:
     """Warn of a length or a displacement (m) that is so large that it seems to be in mm.
 
-    It is not traced, and that of such a `part` is not `longest` (m) or more.
+    That of a usual `part`, such as "a flexure", is at most `longest`; m.
     """
     known = concrete(value)
     if known is not None and known.shape == () and abs(float(known)) > longest:

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._utils.host import as_float, concrete, on_host
-from .._utils.polygons import centroid
+from .._utils.polygons import area_and_centroid
 from .._utils.printing import Printed
 from .._utils.types import (
     Corners,
@@ -113,7 +113,7 @@ def _warn_of_inertia(body: Body) -> None:
     if mass is None or mass.shape:
         return
     farthest = np.max(np.linalg.norm(corners, axis=1))
-    offset = np.linalg.norm(centroid(corners))
+    offset = np.linalg.norm(area_and_centroid(np, corners)[1])
     if offset > _OFF_CENTER * farthest:
         warn(
             f"The mass {owner} is at the origin of its frame, {offset:.4g} m away from "
@@ -195,31 +195,28 @@ def plate(
         )
     points = require_corners(f"`corners` of the plate {name!r}", corners)
     require_length(f"`width` of the plate {name!r}", width, material.modulus)
-    # Area and moments follow from Green's theorem for triangles from the mean of the
-    # corners, so that no digits are lost if the outline is far from the origin.
     xp, (points, density, width) = on_host(points, material.density, width)
-    middle = xp.mean(points, axis=0)
-    start = points - middle[None]
-    end = xp.roll(start, -1, axis=0)
-    cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
-    area = xp.sum(cross) / 2
+    area, center = area_and_centroid(xp, points)
     known_area = concrete(area)
     if known_area is not None and not abs(known_area) > 0:
         raise ValueError(f"`corners` of the plate {name!r} enclose no area.")
-    center = xp.sum((start + end) * cross[:, None], axis=0) / (6 * area)
+    # Second moments about the centroid, by Green's theorem
+    start = points - center[None]
+    end = xp.roll(start, -1, axis=0)
+    cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
     squares = xp.sum(start**2 + start * end + end**2, axis=1)
-    gyration_squared = xp.sum(squares * cross) / (12 * area) - xp.sum(center**2)
+    gyration_squared = xp.sum(squares * cross) / (12 * area)
     mass = density * width * xp.abs(area)
     weights = (cross / (12 * area))[:, None]
     mixed = start + end
     moments = (mixed * weights).T @ mixed + (start * weights).T @ start
-    second = (moments + (end * weights).T @ end) / 2 - center[:, None] * center[None]
+    second = (moments + (end * weights).T @ end) / 2
     through_thickness = (gyration_squared + width**2 / 12) * np.eye(2)
     return Body(
         name,
-        pose=as_float(xp.concatenate([np.zeros(1), middle + center])),
+        pose=as_float(xp.concatenate([np.zeros(1), center])),
         mass=mass,
         inertia=mass * gyration_squared,
-        outline=as_float(start - center[None]),
+        outline=as_float(start),
         tilt_inertia=as_float(mass * (through_thickness - second)),
     )

@@ -13,7 +13,6 @@ import numpy as np
 from .._utils.stacking import PerPart
 from .._utils.types import Corners, Pose
 from ..energies.axial_spring import AxialSpring
-from ..energies.base import AbstractEnergy
 from ..energies.contact import Stop
 from ..energies.quadratic import Quadratic
 from ..energies.stress_model import stress_model
@@ -80,25 +79,34 @@ def with_flexure_outlines(mechanism: Mechanism) -> Mechanism:
     It is the contour of a flexure that was created from dimensions, and the beam with the
     stiffness of another quadratic energy, unless it is longer than the mechanism.
     """
-    outlines, size = list(mechanism.hinge_outlines.on_host()), mechanism_size(mechanism)
+    outlines = list(mechanism.hinge_outlines.on_host())
     for group in mechanism.hinge_assembly.groups:
-        is_quadratic = isinstance(group.energy, Quadratic)
-        if not is_quadratic and stress_model(group.energy) is None:
-            continue
-        for member, row in enumerate(group.members):
-            if outlines[row] is None:
-                outlines[row] = _flexure_outline(group.of_member(member)[0], size)
+        missing = [k for k, row in enumerate(group.members) if outlines[row] is None]
+        made = {}
+        if stress_model(group.energy) is not None:
+            for member in missing:
+                model = stress_model(group.of_member(member)[0])
+                assert model is not None
+                made[member] = model.outline()
+        elif missing and isinstance(group.energy, Quadratic):
+            # Many hinges of a lattice have few kinds of stiffness.
+            shape, size = (len(group.members), 3, 3), mechanism_size(mechanism)
+            stiffness = np.broadcast_to(np.asarray(group.energy.stiffness), shape)
+            kinds, kind_of = np.unique(stiffness, axis=0, return_inverse=True)
+            of_kinds = [_beam_outline(kind, size) for kind in kinds]
+            made = {member: of_kinds[kind_of.flat[member]] for member in missing}
+        for member, outline in made.items():
+            outlines[group.members[member]] = outline
     return eqx.tree_at(
         lambda new: new.hinge_outlines, mechanism, PerPart.of_each(outlines)
     )
 
 
-def _flexure_outline(energy: AbstractEnergy, longest: float) -> Corners | None:
-    """Return the contour of a flexure, or of the beam with a diagonal stiffness; m."""
-    if (model := stress_model(energy)) is not None:
-        return model.outline()
-    assert isinstance(energy, Quadratic)
-    stiffness = np.asarray(energy.stiffness)
+def _beam_outline(stiffness: np.ndarray, longest: float) -> Corners | None:
+    """Return the outline of the slender beam with a diagonal stiffness, if there is one.
+
+    It is not longer than `longest`; m.
+    """
     diagonal = np.diagonal(stiffness)
     if np.any(diagonal <= 0) or np.any(stiffness != np.diag(diagonal)):
         return None

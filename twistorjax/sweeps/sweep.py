@@ -220,15 +220,15 @@ def sweep(
     else:
         identity = sweep_identity(study, designs, program, units, settings)
         opened = open_store(Path(store), layout, identity, resume)
-        own = np.arange(program.chunk_count(designs))[of_part]
-        missing = own[~opened.intact_chunks(own.tolist())]
+        own = np.zeros(program.chunk_count(designs), bool)
+        own[of_part] = True
+        missing = np.flatnonzero(own & ~opened.intact_chunks(own))
         synchronize("sweep started")
         for chunk, output in _run(program, designs, missing.tolist(), progress):
             opened.write(chunk, layout.values(output))
         synchronize("sweep finished")
         if part is not None:  # Each part reads and reports its own failures only.
-            is_own = np.isin(np.arange(program.chunk_count(designs)), own)
-            flags = {name: opened.read(name, is_own) for name in ("succeeded", "result")}
+            flags = {name: opened.read(name, own) for name in ("succeeded", "result")}
             warn_of_failures(flags)
             return _dataset(opened)
         table = open_sweep(store, verify=False)

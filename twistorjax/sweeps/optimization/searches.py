@@ -77,6 +77,11 @@ class SearchOptions:
                 "from names of parameters to arrays with one value for each start."
             )
 
+    @property
+    def continues(self) -> bool:
+        """Whether an existing store is continued, as every part does."""
+        return self.resume or self.part is not None
+
     def start_vectors(self, space: DesignSpace) -> Float[np.ndarray, "starts numbers"]:
         if not isinstance(self.starts, int | float | np.number):
             vectors = space.vectors(self.starts)
@@ -114,11 +119,11 @@ def run_searches(problems: Sequence[Problem], options: SearchOptions) -> list[Op
         ends = store.finished()
     searches = {
         row: partial(
-            search, problem, start,
+            search, *tasks[row],
             tolerance=options.tolerance, max_steps=options.max_steps,
         )
-        for row, (problem, start) in enumerate(tasks)
-        if row in own and row not in ends
+        for row in own
+        if row not in ends
     }  # fmt: skip
 
     done = len(own) - len(searches)
@@ -219,8 +224,7 @@ class SearchStore:
         assert options.store is not None
         path = Path(options.store)
         require_packages(path)
-        resume = options.resume or options.part is not None
-        if path.exists() and not resume:
+        if path.exists() and not options.continues:
             raise ValueError(
                 f"`store` is {str(path)!r}, which already exists. Continue it with "
                 "`resume=True`, or use another path."
@@ -251,7 +255,7 @@ class SearchStore:
         }
         identity = sweep_identity(problem.study, designs, problem.program, None, settings)
         identity["chunk_size"] = 1  # Each search is saved alone.
-        self._store = open_store(path, self._layout, identity, resume)
+        self._store = open_store(path, self._layout, identity, options.continues)
 
     def finished(self) -> dict[int, SearchEnd]:
         """Return the ends of the finished searches, by the index of their start."""

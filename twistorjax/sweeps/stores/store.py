@@ -3,7 +3,7 @@
 import contextlib
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -127,22 +127,19 @@ class Store:
         return self._read_checksums() != 0
 
     def intact_chunks(
-        self, chunks: Sequence[int] | None = None
+        self, among: Bool[np.ndarray, " chunks"] | None = None
     ) -> Bool[np.ndarray, " chunks"]:
-        """Determine whether chunks have been written and are unchanged since then.
+        """Determine whether each chunk has been written and is unchanged since then.
 
-        By default these are all chunks.
+        Chunks that are not `among` the given ones are not read.
         """
         checksums = self._read_checksums()
-        chunks = range(len(checksums)) if chunks is None else chunks
-        return np.array(
-            [
-                checksums[chunk] != 0
-                and checksums[chunk] == self._compute_checksum(chunk)
-                for chunk in chunks
-            ],
-            bool,
-        )
+        intact = checksums != 0
+        if among is not None:
+            intact &= among
+        for chunk in np.flatnonzero(intact).tolist():
+            intact[chunk] = checksums[chunk] == self._compute_checksum(chunk)
+        return intact
 
     def write(self, chunk: int, values: Mapping[str, np.ndarray]) -> None:
         """Write a chunk of outputs, and then its checksum."""

@@ -6,6 +6,7 @@ programs of the first one. The module `analyses` measures all analyses of mechan
 """
 
 import contextlib
+import importlib.util
 import os
 import statistics
 import subprocess
@@ -70,6 +71,19 @@ CALLS = {
         GUIDE,
         "eqx.filter_grad(lambda guide: push(guide).displacement('block')[0])(guide)",
         (5.0, None),
+    ),
+}
+# Numba compiles in each process. EXUDYN compiles nothing.
+PEERS = {
+    "SciPy LSODA with Numba": (
+        "numba",
+        "from benchmarks.peers_motion import COMPILED, scipy_released",
+        "scipy_released(COMPILED, 1e-13, 1e-7)[0]()",
+    ),
+    "EXUDYN": (
+        "exudyn",
+        "from benchmarks.peers_motion import exudyn_released",
+        "exudyn_released()()",
     ),
 }
 FIRST_CALL = "first call of {} in a new process, {}"
@@ -175,3 +189,8 @@ def _calls() -> Iterator[Row]:
                 yield Row(what, value, "s")
             else:
                 yield at_most(what, value, "s", bound)
+    for name, (package, setup, call) in PEERS.items():
+        if importlib.util.find_spec(package) is not None:
+            code = SCRIPT.format(setup=f"import {package}; {setup}", call=call)
+            value = printed_times(["-c", code], dict(os.environ))[0]
+            yield Row(f"{name}: first motion in a new process", value, "s")

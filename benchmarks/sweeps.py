@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -22,6 +23,7 @@ import twistorjax as tj
 from twistorjax.examples import four_bar, stage
 from twistorjax.examples.sweep_studies import stage_gain
 
+from .first_calls import empty_cache
 from .measure import at_least, at_most, Row
 from .peers_motion import RELEASED
 from .statics import linearized_gain
@@ -39,6 +41,35 @@ def run() -> Iterator[Row]:
     )
     for line in process.stdout.splitlines():
         yield Row(**json.loads(line))
+    with empty_cache() as environment:
+        _processor_time_of(1, environment)
+        times = [_processor_time_of(parts, environment) for parts in (1, 5)]
+    what = "sweep in a store: processor time that a further part takes"
+    yield Row(what, (times[1] - times[0]) / 4, "s")
+
+
+def _processor_time_of(parts: int, environment: dict[str, str]) -> float:
+    """Measure a sweep whose parts are computed by a process each, one by one; s."""
+    code = (
+        "import sys, numpy as np; from benchmarks import sweeps; sweeps.tj.configure(); "
+        "designs = {'width': np.linspace(5e-3, 20e-3, 2_000)}; "
+        "store, k, n = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]); "
+        "sweeps.tj.sweep(sweeps.support_stiffness, designs, store=store, "
+        "chunk_size=200, part=(k, n))"
+    )
+    start = _processor_time_of_processes()
+    with tempfile.TemporaryDirectory() as folder:
+        for k in range(1, parts + 1):
+            where = [f"{folder}/designs.zarr", str(k), str(parts)]
+            command = [sys.executable, "-c", code, *where]
+            subprocess.run(command, env=environment, check=True)
+    return _processor_time_of_processes() - start
+
+
+def _processor_time_of_processes() -> float:
+    """Return the time of all processes that have ended; s."""
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def gain(design: dict[str, Any]) -> dict[str, Any]:
@@ -136,7 +167,7 @@ def measure_sweeps() -> Iterator[Row]:
     bound = 1e7 if accelerated else 100_000
     yield at_least(GAINS, 100_000 / repeated, "/s", bound)
     per_design = {}
-    for count in (10_000, 1_000_000):
+    for count in (100, 1_000, 10_000, 1_000_000):
         per_design[count] = timed(gain, *webs, count)[1] / count
         what = f"sweep: stage: nonlinear gains, {count:,} designs"
         yield Row(what, 1 / per_design[count], "/s")

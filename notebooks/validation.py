@@ -1,16 +1,23 @@
 """Write the manual's page on validation from the reports of the tests.
 
+A table of errors for each part, and the figures that tests record.
+
 pytest --junitxml=fast.xml && pytest -m slow --junitxml=slow.xml
 python notebooks/validation.py fast.xml slow.xml
 """
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 from xml.etree import ElementTree
 
+import matplotlib as mpl
+import matplotlib.pyplot as plt
 import typer
 
+
+FOLDER = Path(__file__).parent
 
 HEAD = """# Validation
 
@@ -23,6 +30,7 @@ mean square of the deviations, divided by that of the reference, for the
 component of the wrench with the largest error. A test fails if its error
 exceeds its limit.
 
+In the figures, lines are results of the library, and points are references.
 L and t are the length and the thickness of a leaf, E I is its bending
 stiffness, and P is a force. `notebooks/validation.py` writes this page from
 the numbers of the tests.
@@ -80,12 +88,13 @@ def main(
     ] = False,
 ) -> None:
     """Write `manual/validation.md`, or check its rows."""
-    rows = [
-        json.loads(entry.attrib["value"])
-        for report in reports
-        for entry in ElementTree.parse(report).getroot().iter("property")
-        if entry.attrib["name"] == "validated"
-    ]
+    recorded: dict[str, list[Any]] = {"validated": [], "pictured": []}
+    for report in reports:
+        for entry in ElementTree.parse(report).getroot().iter("property"):
+            if entry.attrib["name"] in recorded:
+                value = json.loads(entry.attrib["value"])
+                recorded[entry.attrib["name"]].append(value)
+    rows, figures = recorded["validated"], merge(recorded["pictured"])
     if not rows:
         raise typer.BadParameter(
             f"{reports[0]} has no property `validated`: run the tests with "
@@ -102,9 +111,16 @@ def main(
         text += f"## {section}\n\n"
         text += "| quantity | error | reference |\n|---|---|---|\n"
         text += "\n".join(sorted(sections[section])) + "\n\n"
-    page = Path(__file__).parent / "manual" / "validation.md"
+        for figure in figures:
+            if figure["part"] == section:
+                picture = f"../pictures/{figure['name']}.svg"
+                text += f"![{figure['caption']}]({picture})\n\n"
+                text += f"*{figure['caption']}*\n\n"
+    page = FOLDER / "manual" / "validation.md"
     if not check:
         page.write_text(text + TAIL)
+        for figure in figures:
+            draw(figure)
     elif _quantities(page.read_text()) != _quantities(text + TAIL):
         raise SystemExit(
             "manual/validation.md has other rows than the tests: run "
@@ -112,12 +128,56 @@ def main(
         )
 
 
+def merge(figures: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Unite the curves that several tests record for the same figure.
+
+    Points with the same label become one curve.
+    """
+    merged: dict[str, dict[str, Any]] = {}
+    for figure in sorted(figures, key=json.dumps):
+        known = merged.setdefault(figure["name"], figure)
+        known["results"] |= figure["results"]
+        for label, (x, y) in figure["references"].items():
+            points = known["references"].setdefault(label, [[], []])
+            if known is not figure:
+                points[0] += x
+                points[1] += y
+    return [merged[name] for name in sorted(merged)]
+
+
+def draw(figure: dict[str, Any]) -> None:
+    """Write a picture: results as lines, and references as points."""
+    x_label, y_label = figure["axes"]
+    _, axes = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
+    for label, curve in figure["results"].items():
+        style, order = ("--", 3) if "dashed" in label else ("-", 2)
+        axes.plot(*curve, style, zorder=order, label=label)
+    markers = zip("os^", figure["references"].items(), strict=False)
+    for marker, (label, points) in markers:
+        axes.plot(*points, f"k{marker}", mfc="none", ms=5, label=label)
+    if "logarithmic" in y_label:
+        axes.set_yscale("log")
+    axes.set(xlabel=x_label, ylabel=y_label)
+    save(axes, figure["name"])
+
+
+def save(axes: plt.Axes, name: str) -> None:
+    """Write a picture with a legend; the same numbers give the same bytes."""
+    axes.grid(alpha=0.3)
+    figure = axes.get_figure()
+    figure.legend(loc="outside right upper", fontsize="small")
+    with mpl.rc_context({"svg.hashsalt": "0", "svg.fonttype": "none"}):
+        path = FOLDER / "pictures" / f"{name}.svg"
+        figure.savefig(path, metadata={"Date": None})
+    plt.close(figure)
+
+
 def _quantities(text: str) -> list[str]:
-    """Return the first column of all tables; errors differ by machine."""
+    """Return the first columns of tables, and the figures; errors differ."""
     return [
-        line.split("|")[1]
+        line.split("|")[1] if line.startswith("| ") else line
         for line in text.splitlines()
-        if line.startswith("| ")
+        if line.startswith(("| ", "!["))
     ]
 
 

@@ -1,7 +1,7 @@
 """Settings of JAX for all tests: double precision, and fast compilation.
 
-Implicit promotion of dtypes and ranks is an error. The fixture `validated` records the
-errors of the tests for the validation page of the manual.
+Implicit promotion of dtypes and ranks is an error. The fixtures `validated` and
+`pictured` record the errors and the figures of the validation page of the manual.
 """
 
 import contextlib
@@ -133,5 +133,27 @@ def validated(record_property):
         error = np.max(np.abs(found - exact)) / np.max(np.abs(exact))
         row = {"part": part, "what": what, "error": float(error), "oracle": oracle}
         record_property("validated", json.dumps(row))
+
+    return record
+
+
+@pytest.fixture
+def pictured(record_property):
+    """Record results (lines) and references (points), for `notebooks/validation.py`.
+
+    Both are dictionaries of labels, and of values along x and y. Several tests may add to
+    one figure.
+    """
+
+    def record(part, name, caption, axes, results, references):
+        figure = {"part": part, "name": name, "caption": caption, "axes": axes}
+        for kind, curves in (("results", results), ("references", references)):
+            figure[kind] = {
+                label: [
+                    [float(f"{value:.5g}") for value in np.ravel(axis)] for axis in xy
+                ]
+                for label, xy in curves.items()
+            }
+        record_property("pictured", json.dumps(figure))
 
     return record

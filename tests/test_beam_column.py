@@ -91,25 +91,35 @@ def test_cantilever_under_an_axial_force(p):
     np.testing.assert_allclose(1 / compliance[1], cantilever_stiffness(p), rtol=1e-7)
 
 
-def test_stressed_resonator(validated):
+def test_stressed_resonator(validated, pictured):
     """Residual stress as a misfit: both leaves are too short for their clamps."""
-    thickness, mass, p = 0.01, 3.0, 40.0
+    thickness, mass = 0.01, 3.0
     axial = 12 / thickness**2
     bodies = [tj.Body("walls"), tj.Body("mass", mass=mass, inertia=0.01)]
-    hinges = [
-        tj.Hinge(name, *ends, unit_leaf(thickness), at=(0.0, x, 0.0),
-                 misfit=(0.0, -p / axial, 0.0))
-        for name, ends, x in (
-            ("left", ("walls", "mass"), -0.5), ("right", ("mass", "walls"), 0.5)
-        )
-    ]  # fmt: skip
-    resonator = tj.Mechanism(bodies, hinges, fixed=["walls"])
-    found = tj.vibrations(resonator, about=resonator.reference)
-    exact = np.sqrt(2 * guided_stiffness(p) / mass) / (2 * np.pi)
-    lowest = np.asarray(found.frequencies)[0]
-    np.testing.assert_allclose(lowest, exact, rtol=1e-6)
-    name = "frequency of a mass on two leaves under tension, P = 40 E I / L²"
-    validated("Vibrations and waves", name, lowest, exact, "tanh of the beam column")
+
+    def frequency(p):
+        hinges = [
+            tj.Hinge(name, *ends, unit_leaf(thickness), at=(0.0, x, 0.0),
+                     misfit=(0.0, -p / axial, 0.0))
+            for name, ends, x in (
+                ("left", ("walls", "mass"), -0.5), ("right", ("mass", "walls"), 0.5)
+            )
+        ]  # fmt: skip
+        resonator = tj.Mechanism(bodies, hinges, fixed=["walls"])
+        return tj.vibrations(resonator, about=resonator.reference).frequencies[0]
+
+    tensions = np.array([-9.0, -8.0, -5.0, 0.1, 5.0, 10.0, 20.0, 30.0, 40.0])
+    found = np.array([frequency(p) for p in tensions])
+    exact = np.sqrt([2 * guided_stiffness(p) / mass for p in tensions]) / (2 * np.pi)
+    np.testing.assert_allclose(found, exact, rtol=1e-6)
+    part = "Vibrations and waves"
+    name = "frequency of a mass on two leaves under tension, P up to 40 E I / L²"
+    validated(part, name, found, exact, "tanh of the beam column")
+    caption = "Frequency of a mass between two leaves, with E I = L = 1 and a mass of 3."
+    pictured(
+        part, "stressed-resonator", caption, ("tension P L²/E I", "frequency"),
+        {"tensioned leaves": (tensions, found)}, {"beam column": (tensions, exact)},
+    )  # fmt: skip
 
 
 @pytest.mark.release

@@ -391,6 +391,7 @@ def test_path_follows_the_snap_through_of_a_truss_in_a_file(run_here, tmp_path):
     assert (done.returncode, done.stderr.count("--over is 'apex:z'")) == (2, 1)
 
 
+@pytest.mark.slow
 def test_new_writes_a_script_and_a_file_of_the_same_mechanism(run_here, tmp_path):
     assert run_here("new", "folded-guide").returncode == 0
     done = subprocess.run(

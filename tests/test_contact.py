@@ -173,7 +173,8 @@ def lattice(size, **settings):
     return mechanism, [tj.Load(name, force=(0.0, -4.0)) for name in top]
 
 
-@pytest.mark.parametrize("size", mostly_slow([2, 3]))
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [2, 3])
 def test_a_compressed_lattice_with_contact_is_the_end_of_its_damped_motion(size):
     mechanism, loads = lattice(size)
     static = tj.equilibrium(mechanism, loads=loads)

@@ -90,18 +90,31 @@ def test_springs_of_a_field_of_stiffnesses_act_in_series(traced):
     assert_close(gradient, -force * flexibility / stiffness)
 
 
-def test_rotating_squares_on_stiff_joints_contract_in_both_directions(validated):
+def test_rotating_squares_on_stiff_joints_contract_in_both_directions(
+    validated, pictured
+):
     """The pitch is that of open squares times the cosine of the angle."""
     stiff = tj.Quadratic(np.diag([1.0, 1e9, 1e9]))
     cell = tj.lattices.rotating_squares(stiff, pitch=PITCH, angle=0.3)
     one = cell.mechanism(fixed={"a": ["x", "y"]})
-    strain = np.cos(0.5) / np.cos(0.3) - 1
-    gradient = strain * np.eye(2)
-    pressed = tj.equilibrium(one, constraints=cell.periodicity(gradient))
-    angles = np.asarray(pressed.displacements)[:4, 0] * np.array([1, -1, -1, 1])
-    assert_close(angles, 4 * [0.2], digits=6)
+    turned = np.linspace(-0.05, 0.7, 6)
+    strains = np.cos(0.3 + turned) / np.cos(0.3) - 1
+
+    def angles(strain):
+        constraints = cell.periodicity(strain * np.eye(2))
+        pressed = tj.equilibrium(one, constraints=constraints)
+        return np.asarray(pressed.displacements)[:4, 0] * np.array([1, -1, -1, 1])
+
+    found = np.stack([angles(strain) for strain in strains])
+    exact = np.tile(turned[:, None], (1, 4))
+    assert_close(found, exact, digits=6)
     name = "rotation of squares that are compressed in both directions"
-    validated("Lattices", name, angles, np.full(4, 0.2), "the closed form")
+    validated("Lattices", name, found, exact, "the closed form")
+    caption = "Rotation of stiff squares that are compressed in both directions."
+    pictured(
+        "Lattices", "rotating-squares", caption, ("strain", "rotation (rad)"),
+        {"squares": (strains, found[:, 0])}, {"closed form": (strains, turned)},
+    )  # fmt: skip
 
 
 def test_neighbors_touch_where_their_edges_are_parallel():
@@ -314,7 +327,7 @@ def stretched_string(strain):
     return cell, tj.equilibrium(one, constraints=constraints)
 
 
-def test_a_tensioned_string_carries_transverse_waves(validated):
+def test_a_tensioned_string_carries_transverse_waves(validated, pictured):
     """The frequency is 2 (T / (m a))^0.5 sin(k a / 2), with the stretched pitch a."""
     cell, about = stretched_string(0.2)
     waves = cell.wave_vectors([(0.1,), (0.5,)], 5)
@@ -328,6 +341,15 @@ def test_a_tensioned_string_carries_transverse_waves(validated):
     assert_close(computed, expected, digits=9)
     name = "waves in a stretched row of masses"
     validated("Vibrations and waves", name, computed, expected, "the closed form")
+    caption = "Waves in a row of masses on bars that are stretched by 20 %."
+    phases = waves[:, 0] * PITCH / np.pi
+    results = {
+        label: (phases, values)
+        for label, values in zip(("transverse", "along"), computed.T, strict=True)
+    }
+    closed = {"closed form": (np.tile(phases, 2), expected.T)}
+    axes = "wave number times pitch over π", "frequency (rad/s)"
+    pictured("Vibrations and waves", "stretched-row", caption, axes, results, closed)
 
 
 def test_a_compressed_string_is_not_stable():

@@ -375,6 +375,7 @@ def test_few_modes_of_many_bodies_are_the_lowest_ones():
     assert_close(signs[:, None, None] * found.shapes, shapes, digits=8)
 
 
+@pytest.mark.slow
 def test_frequencies_and_shapes_of_few_modes_are_differentiable():
     def modes(stiffness):
         found = tj.vibrations(vibrating_lattice(stiffness), modes=4)
@@ -486,6 +487,7 @@ def test_harmonic_response_of_a_row_and_its_derivative():
     assert_close(jax.jacrev(response)(100.0), jax.jacrev(exact)(100.0), digits=9)
 
 
+@pytest.mark.slow
 def test_reverse_derivatives_of_a_response_under_a_follower_load():
     """Its stiffness is not symmetric."""
     mechanism = lattice(3, 24, ["0 0"], mass=1.5, inertia=0.2)

@@ -232,6 +232,7 @@ def test_center_shift_of_a_cross_spring_pivot_is_that_of_exact_beams(crossing, v
     validated("Surrogates of leaves", what, actual_shift, shift, "exact beams, by SciPy")
 
 
+@pytest.mark.slow
 def test_a_surrogate_has_the_same_order_and_limits_under_a_gradient():
     def sum_of_coefficients(thickness):
         hinge: Any = tj.flexures.surrogate(beam(thickness), rotation=0.3, error=1e-2)

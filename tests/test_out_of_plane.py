@@ -58,7 +58,9 @@ def stiffness(beam, solution=None, **settings):
         (0.05, 0.01, 1573930, 0.1),
     ],
 )
-def test_support_stiffness_over_the_stroke(width, stroke, elements, tolerance, validated):
+def test_support_stiffness_over_the_stroke(
+    width, stroke, elements, tolerance, validated, pictured
+):
     """Quadratic solid elements with large displacements; x of the moved end is free."""
     beam = leaf(width)
     bent = guided(beam, stroke) if stroke else tj.flexures.beam_under_load(beam, 3 * [0])
@@ -67,6 +69,20 @@ def test_support_stiffness_over_the_stroke(width, stroke, elements, tolerance, v
     assert abs(found / elements - 1) < tolerance
     what = f"support stiffness of a leaf, w = {width / LENGTH:g} L, stroke {stroke:g} m"
     validated("Out of the plane", what, found, elements, "solid finite elements")
+    beside = np.linspace(1e-4, 0.01, 5)
+    pictured(
+        "Out of the plane",
+        "support-stiffness",
+        "Stiffness of a leaf out of the plane, at the end that moves in the plane.",
+        ("stroke over length", "stiffness (N/m), logarithmic"),
+        {
+            f"width {width / LENGTH:g} L": (
+                beside / LENGTH,
+                [stiffness(beam, guided(beam, other))[0, 0] for other in beside],
+            )
+        },
+        {"solid finite elements": (stroke / LENGTH, elements)},
+    )
 
 
 def test_force_on_a_bent_leaf_twists_it():

@@ -501,7 +501,7 @@ class TestEqualBucklingLoads:
         assert_close(found.critical_points.load_factors, expected, digits=8)
 
     @pytest.mark.parametrize("turns", [(1, 0), (0, -1), (1, -1)])
-    def test_branches_of_a_double_branch_point(self, turns, validated):
+    def test_branches_of_a_double_branch_point(self, turns, validated, pictured):
         """A link of the buckling load 1 is at the angle a where the factor is a / sin a.
 
         Either link buckles, or both of them.
@@ -521,6 +521,17 @@ class TestEqualBucklingLoads:
         name = f"branch {turns} of a double branch point"
         validated(
             "Equilibrium paths", name, factors * angles, expected, "the closed form"
+        )
+        turned = angles[:, np.argmax(np.abs(turns))]
+        exact = np.linspace(0.2, 1.0, 6) * turned[-1]
+        which = {(1, 0): "the first turns", (0, -1): "the second turns"}
+        pictured(
+            "Equilibrium paths",
+            "double-branch-point",
+            "Two links that buckle at the same load: either of them turns, or both do.",
+            ("angle (rad)", "load over the buckling load"),
+            {which.get(turns, "both turn (dashed)"): (turned, factors)},
+            {"closed form": (exact, exact / np.sin(exact))},
         )
 
     def test_a_direction_that_is_no_branch(self):

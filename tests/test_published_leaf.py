@@ -142,7 +142,7 @@ class Elastica:
 
 
 @pytest.mark.parametrize("angle", PUBLISHED)
-def test_the_leaf_snaps_along_another_branch_as_published(angle, validated):
+def test_the_leaf_snaps_along_another_branch_as_published(angle, validated, pictured):
     """It buckles between its ends, and the branches join again at the second point."""
     path = followed(np.radians(angle), load_factors=(0.0, 1.0), throw=False)
     first, second = path.critical_points[0], path.critical_points[1]
@@ -178,6 +178,20 @@ def test_the_leaf_snaps_along_another_branch_as_published(angle, validated):
         computed,
         published,
         "a published simulation (Neel-Bistable)",
+    )
+    pictured(
+        "Published mechanisms",
+        "bistable-leaf",
+        "Force of two rubber leaves. They leave the dashed path at a branch point.",
+        ("displacement (mm)", "force (N)"),
+        {
+            f"{angle}°": (displacements, forces),
+            f"{angle}°, not buckled (dashed)": displacements_and_forces(path),
+        },
+        {
+            "published simulation": (at, published),
+            "branch point of the elastica": expected,
+        },
     )
 
 

@@ -272,6 +272,7 @@ def test_a_range_outside_that_of_a_linear_leaf_causes_a_warning():
         range_under_moments(0.0, stress=3e9)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_range_in_pure_bending():
     """The moment at the ends is stress times width times thickness squared over 6."""
 

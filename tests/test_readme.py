@@ -1,6 +1,7 @@
 """Code, links, and names in the README and in the manual."""
 
 import contextlib
+import importlib
 import io
 import pathlib
 import re
@@ -171,6 +172,13 @@ def test_the_table_of_files_to_touch_has_four_rows():
     assert [example for example, _ in _ROWS] == [
         "PointCharges", "linear_leaf", "state_space", "range_shares",
     ]  # fmt: skip
+
+
+def test_times_in_the_pages_are_those_of_the_benchmarks(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "notebooks"))
+    performance = importlib.import_module("performance")
+    for page, text in performance.pages().items():
+        assert page.read_text() == text
 
 
 @pytest.mark.parametrize(

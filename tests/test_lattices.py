@@ -220,8 +220,8 @@ def test_waves_along_masses_on_springs_have_the_frequencies_of_closed_forms():
     assert_close(velocity, np.sqrt(100.0 / MASS) * PITCH * np.cos(0.35), digits=10)
 
 
-def two_masses(light, count):
-    """Return the waves at the edge of the zone, and between it and its center.
+def two_masses(light, count, start=0.5):
+    """Return the waves from the edge of the zone, or from another start, to its center.
 
     A cell has two masses, which springs join in a row.
     """
@@ -236,7 +236,7 @@ def two_masses(light, count):
     ]
     cell = tj.lattices.UnitCell(bodies, hinges, [(PITCH, 0)])
     fixed = {name: ["angle", "y"] for name in ("light", "heavy")}
-    waves = cell.wave_vectors([(0.5,), (0.0,)], 20)[:count]
+    waves = cell.wave_vectors([(start,), (0.0,)], 20)[:count]
     return tj.dispersion(cell, waves, fixed=fixed)
 
 
@@ -296,6 +296,8 @@ def test_band_gaps_are_drawn_between_the_bands():
     assert isinstance(shown, Rectangle)
     edges = np.array([shown.get_y(), shown.get_y() + shown.get_height()])
     assert_close(2 * np.pi * edges, GAP, digits=9)
+    # Bands of equal masses cross at the edge, which is no wave vector of this path.
+    assert not tj.plotting.draw_dispersion(two_masses(3.0, 21, start=0.9)).patches
     plt.close("all")
     with pytest.raises(ValueError, match="two wave vectors or more"):
         tj.plotting.draw_dispersion(two_masses(1.0, 1))

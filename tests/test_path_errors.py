@@ -113,7 +113,7 @@ def test_a_body_that_nothing_supports():
 def test_too_few_points():
     with pytest.raises(RuntimeError, match="largest number of points") as error:
         turn_a_block(largest_step=0.01)
-    assert "16 points up to the load factor" in str(error.value)
+    assert "16 points up to the load factor" in error.value.__notes__[0]
     found = turn_a_block(largest_step=0.01, throw=False)
     assert len(found.load_factors) == 16 and not bool(found.succeeded)
 

@@ -1,6 +1,5 @@
 """`twistorjax path`: stable and unstable equilibria of a mechanism in a file."""
 
-import re
 from typing import Annotated, Any
 
 import typer
@@ -78,7 +77,7 @@ def path(
         draw=lambda: draw_path(found, body, coordinate),
     )  # fmt: skip
     if failure is not None:
-        raise SolveError(re.sub(r" \([^()]*`path\(.*", "", str(failure)))
+        raise SolveError(str(failure))
 
 
 def _drawn(found: Any, over: str | None) -> tuple[str, Any]:

@@ -23,8 +23,10 @@ def draw_dispersion(
 ) -> "Axes":
     """Draw the frequencies of waves over a path of wave vectors, and the band gaps.
 
-    A band gap is a range of frequencies that none of the given waves has. Between them,
-    bands may touch. A vertical line marks each corner of the path.
+    A band gap is a range of frequencies that none of the given waves has. It is not drawn
+    if the bands change by more than its width from one wave vector to the next, because
+    they may cross between them; give more wave vectors to see it. A vertical line marks
+    each corner of the path.
 
     Args:
         dispersion: Result of `dispersion` for a path, such as `UnitCell.wave_vectors`.
@@ -70,11 +72,8 @@ def draw_dispersion(
     factor, unit = prefixed_unit("Hz", float(np.nanmax(frequencies)))
     axes = new_axes((6.0, 4.5)) if axes is None else axes
     axes.plot(path, factor * frequencies, color=DARK_BLUE)
-    lowest, highest = np.nanmin(frequencies, axis=0), np.nanmax(frequencies, axis=0)
-    below = np.maximum.accumulate(highest)[:-1]
-    for low, high in zip(factor * below, factor * lowest[1:], strict=True):
-        if high > low:
-            axes.axhspan(low, high, color=ORANGE, alpha=0.25, linewidth=0)
+    for low, high in _band_gaps(frequencies):
+        axes.axhspan(factor * low, factor * high, color=ORANGE, alpha=0.25, linewidth=0)
     for place in places[1:-1]:
         axes.axvline(place, color=GRAY, linewidth=0.8)
     axes.set_xlim(0.0, float(path[-1]))
@@ -84,3 +83,18 @@ def draw_dispersion(
     axes.set_xlabel("wave vector" if corners else "path of the wave vector (rad/m)")
     axes.set_ylabel(f"frequency ({unit})")
     return axes
+
+
+def _band_gaps(frequencies: np.ndarray) -> np.ndarray:
+    """Return the ends of the gaps between bands, a row for each gap; Hz."""
+    changes = np.pad(np.abs(np.diff(frequencies, axis=0)), ((1, 1), (0, 0)))
+    steps = np.maximum(changes[:-1], changes[1:])
+
+    def ends(reach: np.ndarray | float) -> np.ndarray:
+        highest = np.nanmax(frequencies + reach, axis=0)
+        lowest = np.nanmin(frequencies - reach, axis=0)
+        return np.stack([np.maximum.accumulate(highest)[:-1], lowest[1:]], axis=1)
+
+    # Between two wave vectors, a band that another one crosses may go on by a step.
+    low, high = ends(steps).T
+    return ends(0.0)[low < high]

@@ -164,14 +164,14 @@ def path(
 
     def error(item: str, batch_index: tuple[int, ...]) -> Exception:
         del batch_index
-        text = path_message(item, constants[0], run)
+        failure = RuntimeError(path_message(item, constants[0], run))
         if count > 1:
-            text += (
-                f" ({count} points up to the load factor "
+            failure.add_note(
+                f"{count} points up to the load factor "
                 f"{float(run.trace.points[count - 1, -1]):.6g} were found; `path(..., "
-                "throw=False)` returns them.)"
+                "throw=False)` returns them."
             )
-        return RuntimeError(text)
+        return failure
 
     return finish(found, throw, error)
 

@@ -77,8 +77,8 @@ CALLS = {
 PEERS = {
     "SciPy LSODA with Numba": (
         "numba",
-        "from benchmarks.peers_motion import COMPILED, scipy_released",
-        "scipy_released(COMPILED, 1e-13, 1e-7)[0]()",
+        "from benchmarks.peers_motion import COMPILED, FOUR_BARS",
+        "FOUR_BARS[0][1](COMPILED, 1e-13, FOUR_BARS[0][3][COMPILED])[0]()",
     ),
     "EXUDYN": (
         "exudyn",

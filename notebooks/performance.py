@@ -39,9 +39,9 @@ FIRST = "first call of {} in a new process, without a cache"
 LATER = "first call of {} in a new process, with a cache"
 GRADIENT = "reverse-mode gradient of simulate"
 IDENTIFIED = "identification of three stiffnesses"
-PEER_IDENTIFIED = (
-    f"EXUDYN (1000 steps), finite differences, SciPy: {IDENTIFIED}"
-)
+ERROR = "error of the estimates"
+PEER_STEPS = "EXUDYN (1000 steps), finite differences, SciPy"
+PEER_IDENTIFIED = f"{PEER_STEPS}: {IDENTIFIED}"
 WRENCH = (
     "`{}`, rotations up to 46°: RMS error of the wrench, largest component"
 )
@@ -81,6 +81,8 @@ class Results:
             value, unit = self.seconds(name), "s"
             if value < 0.1:
                 value, unit = 1e3 * value, "ms"
+        if unit == "relative":
+            return f"{value:.0e}"
         return f"{float(f'{abs(value):.2g}'):,g} {unit}".strip()
 
 
@@ -124,8 +126,10 @@ def readme(own: Results) -> str:
         ("motion of a four-bar linkage for 0.2 s, with an error of 1e-4 rad",
          own(MOTION), ", ".join(motions)),
         ("three stiffnesses identified from a motion",
-         f"{own(f'{IDENTIFIED}: without compilation')}, error 5e-9",
-         f"EXUDYN with SciPy {own(PEER_IDENTIFIED)}, error 4e-6"),
+         f"{own(f'{IDENTIFIED}: without compilation')}, error "
+         f"{own(f'{IDENTIFIED}: {ERROR}')}",
+         f"EXUDYN with SciPy {own(PEER_IDENTIFIED)}, error "
+         f"{own(f'{PEER_STEPS}: {ERROR}')}"),
         ("first equilibrium, motion, gradient of a motion in a process: with "
          "compilation", first, ""),
         ("the same in later processes, which load the programs", later, ""),
@@ -160,12 +164,13 @@ def numbers(own: Results) -> str:
          own(PEER_MOTION.format("SciPy LSODA"))),
         ("the same with a time derivative that Numba compiles",
          own(PEER_MOTION.format("SciPy LSODA with Numba"))),
-        ("identification of three stiffnesses from a motion, error 5e-9, "
-         "without and with compilation",
+        (f"identification of three stiffnesses from a motion, error "
+         f"{own(f'{IDENTIFIED}: {ERROR}')}, without and with compilation",
          own(f"{IDENTIFIED}: without compilation",
              f"{IDENTIFIED}: with compilation")),
         ("the same identification with EXUDYN (1,000 steps), finite "
-         "differences, and SciPy, error 4e-6", own(PEER_IDENTIFIED)),
+         f"differences, and SciPy, error {own(f'{PEER_STEPS}: {ERROR}')}",
+         own(PEER_IDENTIFIED)),
         ("first equilibrium in a new process, without and with stored "
          "programs",
          own(f"{EQUILIBRIUM}: first call", f"{EQUILIBRIUM}: {later}")),
@@ -220,7 +225,10 @@ def with_tables(page: Path, *tables: str) -> str:
     """Return the text of a page with other tables between its comments."""
     between = r"(?<=<!-- measured -->\n)[^<]*(?=\n<!-- end -->)"
     texts = iter(tables)
-    return re.sub(between, lambda _: next(texts), page.read_text())
+    text, count = re.subn(between, lambda _: next(texts), page.read_text())
+    if count != len(tables):
+        raise ValueError(f"{page} has {count} of {len(tables)} tables.")
+    return text
 
 
 def rates(own: Results, fast: Results) -> None:

@@ -135,13 +135,13 @@ def merge(figures: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     """
     merged: dict[str, dict[str, Any]] = {}
     for figure in sorted(figures, key=json.dumps):
-        known = merged.setdefault(figure["name"], figure)
+        empty = figure | {"results": {}, "references": {}}
+        known = merged.setdefault(figure["name"], empty)
         known["results"] |= figure["results"]
         for label, (x, y) in figure["references"].items():
-            points = known["references"].setdefault(label, [[], []])
-            if known is not figure:
-                points[0] += x
-                points[1] += y
+            points = known["references"].setdefault(label, ([], []))
+            points[0].extend(x)
+            points[1].extend(y)
     return [merged[name] for name in sorted(merged)]
 
 

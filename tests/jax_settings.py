@@ -142,7 +142,7 @@ def pictured(record_property):
     """Record results (lines) and references (points), for `notebooks/validation.py`.
 
     Both are dictionaries of labels, and of values along x and y. Several tests may add to
-    one figure.
+    one figure. A line is dashed, and the y axis logarithmic, if the label says so.
     """
 
     def record(part, name, caption, axes, results, references):

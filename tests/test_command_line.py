@@ -336,9 +336,10 @@ def guide_file(tmp_path):
 
 
 def test_solve_computes_a_mechanism_in_a_file(run_here, guide_file, tmp_path):
-    done = run_here("solve", guide_file, "--load", "table:5,0", "--plot", "guide.png")
-    assert done.returncode == 0
-    assert "0.00118986" in done.stdout and (tmp_path / "guide.png").exists()
+    figure = "--plot", "guide.svg", "--magnify", "7"
+    done = run_here("solve", guide_file, "--load", "table:5,0", *figure)
+    assert done.returncode == 0 and "0.00118986" in done.stdout
+    assert "magnified 7 times" in (tmp_path / "guide.svg").read_text()
     done = run_here("solve", guide_file, "--drive", "table:x=1e-4,angle=0", "--json")
     result = json.loads(done.stdout)
     force = result["reactions"]["table"][1]

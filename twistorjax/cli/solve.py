@@ -6,6 +6,7 @@ import typer
 
 from .common import (
     by_name,
+    check_positive,
     JsonOption,
     load_mechanism,
     MechanismFile,
@@ -39,10 +40,16 @@ def solve(
     drive: DriveOption = None,
     as_json: JsonOption = False,
     plot: PlotOption = None,
+    magnify: Annotated[
+        float,
+        typer.Option(
+            help="Factor on the displacements that are drawn.", callback=check_positive
+        ),
+    ] = 1.0,
 ) -> None:
     """Compute the equilibrium of a mechanism under loads and prescribed displacements.
 
-    Example: twistorjax solve guide.json --load table:5,0 --plot guide.png
+    Example: twistorjax solve guide.json --load table:5,0 --plot guide.png --magnify 10
     """
     prepare_jax()
     from ..solve.equilibrium import equilibrium
@@ -61,16 +68,18 @@ def solve(
         record["stresses_Pa"] = by_name(solution.stresses.names, largest)
     print_result(
         solution, record, as_json, plot=plot,
-        draw=lambda: draw_solution(model, solution, loads),
+        draw=lambda: draw_solution(model, solution, loads, magnify),
     )  # fmt: skip
 
 
-def draw_solution(mechanism: Any, solution: Any, loads: list) -> Any:
+def draw_solution(
+    mechanism: Any, solution: Any, loads: list, magnify: float = 1.0
+) -> Any:
     """Draw an equilibrium with its loads, colored by the stress if it is known."""
     from ..plotting.drawing import draw
 
     color = None if solution.stresses is None else "stress"
-    return draw(mechanism, solution, loads=loads, color=color)
+    return draw(mechanism, solution, magnify=magnify, loads=loads, color=color)
 
 
 def inputs(load: list[str] | None, drive: list[str] | None) -> tuple[list, list]:

@@ -579,15 +579,15 @@ def test_dimensions_in_millimeters_are_noticed():
     tj.flexures.Beam(without_units, length=10.0, thickness=1.0, width=1.0)
 
 
-def outlined(x, y, angle=np.pi / 2, energy=None):
-    """Return a leaf of 10 mm between two plates whose outlines are 10 mm apart."""
+def outlined(x, y, angle=np.pi / 2, energy=None, length=10e-3):
+    """Return a leaf between two plates whose outlines are 10 mm apart."""
     square = np.array([[-5e-3, -2e-3], [5e-3, -2e-3], [5e-3, 2e-3], [-5e-3, 2e-3]])
     bodies = [
         tj.Body("base", (0.0, 0.3, -7e-3), outline=square),
         tj.Body("table", (np.pi, 0.3, 7e-3), outline=square),
     ]
     steel = tj.Material(210e9, poisson=0.3)
-    leaf = tj.flexures.leaf(steel, length=10e-3, thickness=0.5e-3, width=5e-3)
+    leaf = tj.flexures.leaf(steel, length=length, thickness=0.5e-3, width=5e-3)
     hinge = tj.Hinge("leaf", "base", "table", energy or leaf, at=(angle, x, y))
     return tj.Mechanism(bodies, [hinge], fixed=["base"])
 
@@ -599,6 +599,9 @@ def test_flexures_far_from_their_bodies_are_reported():
         outlined(0.3 + 8e-3, 0.0)
     with pytest.warns(UserWarning, match="'leaf', of length 0.01 m"):
         outlined(0.0, 0.3)  # x and y exchanged
+    outlined(0.3, 0.0, length=9.5e-3)
+    with pytest.warns(UserWarning, match="0.001 m shorter than the distance of"):
+        outlined(0.3, 0.0, length=9e-3)
     for pose in ((0.3, 0.0, 0.0), (0.3, 5e-3)):  # along x; at the end of the leaf
         with pytest.warns(UserWarning, match="0.005 m away from"):
             outlined(*pose)

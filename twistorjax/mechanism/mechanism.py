@@ -29,6 +29,7 @@ from .._utils.types import (
 )
 from .._utils.validation import (
     index_of,
+    listing,
     PLURAL,
     quote,
     require_distinct,
@@ -570,16 +571,18 @@ class Mechanism(eqx.Module):
             poses: Poses of the bodies; rad, m, m.
 
         Returns:
-            One sentence for each such hinge.
+            The displacement and the range of the first one, and the names of the others.
         """
         hinges, displacements = self.hinge_assembly, self.displacements(poses)
-        outside = np.asarray(hinges.out_of_range(displacements))
-        sentences = []
-        for row in map(int, np.flatnonzero(outside)):
-            at = hinges.displacement_of(row, displacements)
-            message = range_message(hinges.energy_of(row), at)
-            sentences.append(f"The hinge {self.hinge_names[row]!r}: {message}.")
-        return " ".join(sentences)
+        outside = np.flatnonzero(np.asarray(hinges.out_of_range(displacements)))
+        if not len(outside):
+            return ""
+        first, *others = map(int, outside)
+        at = hinges.displacement_of(first, displacements)
+        message = range_message(hinges.energy_of(first), at)
+        text = f"The hinge {self.hinge_names[first]!r}: {message}."
+        names = listing(self.hinge_names[row] for row in others)
+        return f"{text} Others outside of their ranges: {names}." if others else text
 
     def dofs_of(
         self, argument: str, chosen: Sequence[str] | Mapping[str, Sequence[str]]

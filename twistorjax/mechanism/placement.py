@@ -17,9 +17,10 @@ from .copies import PartCopies
 from .hinge import AbstractOutline, Hinge
 
 
-# Distances of an end of a flexure from the outline of its body, relative to the length,
-# up to which it is on this body, and above which it is reported
-_NEAR, _FAR = 0.1, 0.25
+# Distances of an end of a flexure from the outline of its body, relative to the length:
+# above the first, both ends are reported if they would meet their bodies farther along
+# the axis; up to the second, an end is on this body; above the third, it is reported
+_SHORT, _NEAR, _FAR = 0.05, 0.1, 0.25
 
 
 def warn_if_misplaced(
@@ -49,14 +50,23 @@ def warn_if_misplaced(
         if any(body.outline is None for body in pair):
             continue
         axis = np.array([np.cos(angle), np.sin(angle)])
-        gaps = _gaps(pair, np.array(center), axis * length / 2)
-        if max(gaps) > _NEAR * length:
+        tips = _tips(center, axis, length)
+        if max(_gaps(pair, tips)) > _SHORT * length:
             length = _contour_length(hinge) or length
-            gaps = _gaps(pair, np.array(center), axis * length / 2)
+            tips = _tips(center, axis, length)
+        gaps = _gaps(pair, tips)
+        farther = tips + np.outer([-gaps[0], gaps[1]], axis)
+        if min(gaps) > _SHORT * length and max(_gaps(pair, farther)) < 1e-6 * length:
+            warn(
+                f"The hinge {hinge.name!r}, of length {length:.4g} m, is "
+                f"{sum(gaps):.4g} m shorter than the distance of the outlines of its "
+                f"bodies, {hinge.first!r} and {hinge.second!r}, along its axis. Check "
+                "its length, and the outlines."
+            )
+            continue
         if max(gaps) <= _NEAR * length:
             continue
-        exchanged = _gaps(pair[::-1], np.array(center), axis * length / 2)
-        if max(exchanged) <= _NEAR * length:
+        if max(_gaps(pair[::-1], tips)) <= _NEAR * length:
             if _is_symmetric(hinge.energy):
                 continue
             warn(
@@ -75,13 +85,15 @@ def warn_if_misplaced(
             )
 
 
-def _gaps(
-    bodies: Sequence[Body],
-    center: Float[np.ndarray, "2"],
-    along: Float[np.ndarray, "2"],
-) -> list[float]:
+def _tips(
+    center: Sequence[float], axis: Float[np.ndarray, "2"], length: float
+) -> Float[np.ndarray, "2 2"]:
+    """Return the start and the end of a hinge; m."""
+    return np.array(center) + np.outer([-length / 2, length / 2], axis)
+
+
+def _gaps(bodies: Sequence[Body], tips: Float[np.ndarray, "2 2"]) -> list[float]:
     """Return the distances of two bodies from the start and the end of a hinge; m."""
-    tips = center - along, center + along
     return [_distance(body, tip) for body, tip in zip(bodies, tips, strict=True)]
 
 

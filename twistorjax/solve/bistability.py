@@ -137,7 +137,7 @@ class Bistability(Solution, BodyPoses):
         if np.isnan(factors[0]):
             return (
                 "monostable up to the full loads and drives: no limit or branch point; "
-                "larger ones may show a second state"
+                "larger ones, or others in another direction, may show a second state"
             )
         forth, back = (
             f"{factor:.6g}{' (branch point)' if branch else ''}"

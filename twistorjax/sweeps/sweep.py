@@ -111,7 +111,8 @@ def sweep(
     Returns:
         A dataset with the axis `design`, or with the parameters of a grid as axes. It
         holds the parameters, the outputs, `succeeded` and `result`. With a store, it is
-        what `open_sweep` returns; the designs of other parts may be missing.
+        what `open_sweep` returns; the designs of other parts may be missing, and
+        `chunks_missing` is the number of chunks that are.
 
     Raises:
         ImportError: xarray is not installed, or a store is used and zarr is not
@@ -266,8 +267,8 @@ def open_sweep(store: str | Path, *, verify: bool = True) -> "xarray.Dataset":
 
     The sweep may be incomplete. The outputs of a design that has not been computed, or
     whose files are damaged, are NaN; its `succeeded` is False and its `result` is -1. The
-    attribute `chunks_missing` holds the number of such chunks, which `sweep` computes if
-    it resumes the store. Coordinates, labels and metadata are always verified.
+    attribute `chunks_missing` is the number of such chunks, which `sweep` computes if it
+    resumes the store. Coordinates, labels and metadata are always verified.
 
     Args:
         store: Folder of the store.
@@ -310,13 +311,14 @@ def _dataset(
     coordinates = {name: table.coords[name] for name in sorted(map(str, table.coords))}
     outputs = {name: table[name].variable for name in opened.output_names}
     table = xarray.Dataset(outputs, coordinates, table.attrs)
-    if available is not None and not available.all():
+    missing = ~(opened.written_chunks() if available is None else available)
+    table = table.assign_attrs(chunks_missing=int(np.sum(missing)))
+    if available is not None and missing.any():
         outputs = {
             name: table[name].copy(data=opened.read(name, available))
             for name in opened.output_names
         }
         table = table.assign(outputs)
-        table = table.assign_attrs(chunks_missing=int(np.sum(~available)))
     try:
         table = finish_dataset(table, opened.grid, opened.coordinates)
         return table.load() if opened.grid else table

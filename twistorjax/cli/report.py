@@ -117,11 +117,11 @@ def _support(support: Any, free: list[str]) -> str:
     import numpy as np
 
     width = max(map(len, [*free, "body"]))
-    heads = "along z (N/m)", "about 1 (N m/rad)", "about 2 (N m/rad)"
-    lines = ["  ".join([f"{'body':<{width}}", *(f"{head:>17}" for head in heads)])]
+    heads = ("along z (N/m)", *(f"tilt about axis {k} (N m/rad)" for k in (1, 2)))
+    lines = ["  ".join([f"{'body':<{width}}", *heads])]
     for name in free:
         values = 1 / np.diagonal(np.asarray(support.compliance_at(name)))
-        cells = (f"{value:>17.6g}" for value in values)
+        cells = (f"{v:>{len(head)}.6g}" for v, head in zip(values, heads, strict=True))
         lines.append("  ".join([f"{name:<{width}}", *cells]))
     return "\n".join(lines)
 

@@ -25,8 +25,8 @@ class Parameter(eqx.Module):
     Args:
         value: Initial value, between the bounds, or at one of them in `optimize` and
             `explore`.
-        unit: Unit of the value, for printing. An array has one unit, or one for each
-            entry of its last axis.
+        unit: Unit of the value, for printing only; no value is converted. An array has
+            one unit, or one for each entry of its last axis.
         lower: Lower bound, which `identify` excludes and `optimize` includes. Give 0 for
             stiffnesses and lengths that are identified.
         upper: Upper bound, as the lower one.

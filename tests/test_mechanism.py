@@ -607,6 +607,20 @@ def test_flexures_far_from_their_bodies_are_reported():
             outlined(*pose)
 
 
+def test_positions_in_millimeters_are_reported_without_outlines():
+    leaf = tj.flexures.leaf(STEEL, length=50e-3, thickness=0.5e-3, width=5e-3)
+
+    def build(x, y, scale=1.0):
+        hinge = tj.Hinge("leaf", "base", "table", leaf, at=(np.pi / 2, x, y))
+        bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, 0.06 * scale))]
+        tj.Mechanism(bodies, [hinge], fixed=["base"])
+
+    build(-14.0, 0.03)
+    for wrong in ((-40.0, 30.0), (-40.0, 0.03), (-0.04, 0.03, 1e3)):
+        with pytest.warns(UserWarning, match="'leaf', of length 0.05 m, is .* m away"):
+            build(*wrong)
+
+
 def test_a_leaf_from_its_second_body_to_its_first_is_reported():
     """Its tension is compression then, which makes no difference in a quadratic form."""
     with pytest.warns(UserWarning, match="Exchange `first` and `second`, or turn"):

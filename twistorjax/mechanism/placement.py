@@ -1,4 +1,4 @@
-"""Check that hinges are near the bodies that they connect."""
+"""Check that hinges are at the bodies that they connect."""
 
 from collections.abc import Sequence
 
@@ -21,6 +21,9 @@ from .hinge import AbstractOutline, Hinge
 # above the first, both ends are reported if they would meet their bodies farther along
 # the axis; up to the second, an end is on this body; above the third, it is reported
 _SHORT, _NEAR, _FAR = 0.05, 0.1, 0.25
+# Distance from the origin of a body without an outline, relative to the length, above
+# which a position seems to be in millimeters
+_FARTHEST = 300
 
 
 def warn_if_misplaced(
@@ -29,11 +32,12 @@ def warn_if_misplaced(
     ends: Sequence[tuple[int, int]],
     frames: Float[Array, "hinges 3"],
 ) -> None:
-    """Warn of flexures whose ends are far from the outlines of their bodies.
+    """Warn of flexures that do not connect their bodies where these are.
 
     Axis 1 of a flexure points from its first body, on which its start is, to its second
-    one. The direction matters if tension and compression differ. Bodies without an
-    outline, flexures of unknown length, and copies are not checked.
+    one. The direction matters if tension and compression differ. If a body has no
+    outline, only large distances from its origin are found. Flexures of unknown length,
+    and copies, are not checked.
     """
     known = concrete(frames)
     if known is None:
@@ -41,55 +45,75 @@ def warn_if_misplaced(
     rows = [(copies, k) for copies in bodies for k in range(len(copies))]
     start = 0
     for copies in hinges:
-        hinge, of_bodies, (angle, *center) = copies.part, ends[start], known[start]
+        hinge, of_bodies, frame = copies.part, ends[start], known[start]
         start += len(copies)
         length = _length(hinge) if len(copies) == 1 else None
         if length is None:
             continue
         pair = [rows[body][0][rows[body][1]] for body in of_bodies]
-        if any(body.outline is None for body in pair):
-            continue
-        axis = np.array([np.cos(angle), np.sin(angle)])
-        tips = _tips(center, axis, length)
-        if max(_gaps(pair, tips)) > _SHORT * length:
-            length = _contour_length(hinge) or length
-            tips = _tips(center, axis, length)
-        gaps = _gaps(pair, tips)
-        farther = tips + np.outer([-gaps[0], gaps[1]], axis)
-        if min(gaps) > _SHORT * length and max(_gaps(pair, farther)) < 1e-6 * length:
-            warn(
-                f"The hinge {hinge.name!r}, of length {length:.4g} m, is "
-                f"{sum(gaps):.4g} m shorter than the distance of the outlines of its "
-                f"bodies, {hinge.first!r} and {hinge.second!r}, along its axis. Check "
-                "its length, and the outlines."
-            )
-            continue
-        if max(gaps) <= _NEAR * length:
-            continue
-        if max(_gaps(pair[::-1], tips)) <= _NEAR * length:
-            if _is_symmetric(hinge.energy):
-                continue
-            warn(
-                f"The start of the hinge {hinge.name!r} is on its second body, "
-                f"{hinge.second!r}, and its end on its first one, {hinge.first!r}. "
-                "Exchange `first` and `second`, or turn the hinge by pi: axis 1 points "
-                "from the first body to the second."
-            )
-        elif max(gaps) > _FAR * length:
-            warn(
-                f"The start of the hinge {hinge.name!r}, of length {length:.4g} m, is "
-                f"{gaps[0]:.4g} m away from the outline of its first body, "
-                f"{hinge.first!r}, and its end {gaps[1]:.4g} m from that of its second, "
-                f"{hinge.second!r}. Check the pose `at` (angle, x, y) of its middle, "
-                "whose axis 1 points from the first body to the second, and the outlines."
-            )
+        has_outlines = all(body.outline is not None for body in pair)
+        fault = (_fault_of_ends if has_outlines else _fault_of_center)(
+            hinge, pair, frame, length
+        )
+        if fault is not None:
+            warn(fault)
 
 
-def _tips(
-    center: Sequence[float], axis: Float[np.ndarray, "2"], length: float
-) -> Float[np.ndarray, "2 2"]:
-    """Return the start and the end of a hinge; m."""
-    return np.array(center) + np.outer([-length / 2, length / 2], axis)
+def _fault_of_center(
+    hinge: Hinge, bodies: Sequence[Body], frame: Float[np.ndarray, "3"], length: float
+) -> str | None:
+    """Describe a flexure that is far from the origins of its bodies for its length."""
+    poses = all_concrete([body.pose for body in bodies])
+    if poses is None:
+        return None
+    distance = max(np.linalg.norm((frame - pose)[1:]) for pose in poses)
+    if distance <= _FARTHEST * length:
+        return None
+    return (
+        f"The hinge {hinge.name!r}, of length {length:.4g} m, is {distance:.4g} m away "
+        "from the origin of one of its bodies. Positions are in meters: 50 mm is 50e-3."
+    )
+
+
+def _fault_of_ends(
+    hinge: Hinge, bodies: Sequence[Body], frame: Float[np.ndarray, "3"], length: float
+) -> str | None:
+    """Describe a flexure whose ends are far from the outlines of its bodies."""
+    axis = np.array([np.cos(frame[0]), np.sin(frame[0])])
+
+    def tips() -> Float[np.ndarray, "2 2"]:
+        return frame[1:] + np.outer([-length / 2, length / 2], axis)
+
+    if max(_gaps(bodies, tips())) > _SHORT * length:
+        length = _contour_length(hinge) or length
+    gaps = _gaps(bodies, tips())
+    farther = tips() + np.outer([-gaps[0], gaps[1]], axis)
+    if min(gaps) > _SHORT * length and max(_gaps(bodies, farther)) < 1e-6 * length:
+        return (
+            f"The hinge {hinge.name!r}, of length {length:.4g} m, is {sum(gaps):.4g} m "
+            f"shorter than the distance of the outlines of its bodies, {hinge.first!r} "
+            f"and {hinge.second!r}, along its axis. Check its length, and the outlines."
+        )
+    if max(gaps) <= _NEAR * length:
+        return None
+    if max(_gaps(bodies[::-1], tips())) <= _NEAR * length:
+        if _is_symmetric(hinge.energy):
+            return None
+        return (
+            f"The start of the hinge {hinge.name!r} is on its second body, "
+            f"{hinge.second!r}, and its end on its first one, {hinge.first!r}. Exchange "
+            "`first` and `second`, or turn the hinge by pi: axis 1 points from the first "
+            "body to the second."
+        )
+    if max(gaps) <= _FAR * length:
+        return None
+    return (
+        f"The start of the hinge {hinge.name!r}, of length {length:.4g} m, is "
+        f"{gaps[0]:.4g} m away from the outline of its first body, {hinge.first!r}, and "
+        f"its end {gaps[1]:.4g} m from that of its second, {hinge.second!r}. Check the "
+        "pose `at` (angle, x, y) of its middle, whose axis 1 points from the first body "
+        "to the second, and the outlines."
+    )
 
 
 def _gaps(bodies: Sequence[Body], tips: Float[np.ndarray, "2 2"]) -> list[float]:

@@ -180,6 +180,45 @@ def test_frequencies_of_a_leaf_in_segments(validated):
     validated("Surrogates", what, clamped, CLAMPED**2, oracle)
 
 
+@pytest.mark.slow
+def test_mass_and_frequency_of_a_filleted_leaf():
+    """The oracle is the iteration of Stodola for a cantilever."""
+    length, width, density, modulus = 50e-3, 10e-3, 7850.0, 210e9
+    steel = tj.Material(modulus, poisson=0.3, density=density)
+    sizes = {"length": length, "thickness": 0.5e-3}
+    profile = tj.flexures.filleted_leaf_profile(**sizes, fillet=1e-3)
+    beam = tj.flexures.Beam(
+        steel, length=length, thickness=profile, width=width, steps=48
+    )
+    flexure = tj.flexures.chain(
+        "leaf", beam, "wall", "tip", (0.0, length / 2, 0.0), rotation=0.5, modes=1
+    )
+    place = np.linspace(0.0, length, 20_001)
+    thickness = np.asarray(jax.vmap(profile)(place - length / 2))
+    per_length = density * width * thickness
+    mass = scipy.integrate.trapezoid(per_length, place)
+    masses = [*(body.mass for body in flexure.bodies), *flexure.end_masses]
+    np.testing.assert_allclose(sum(masses), mass, rtol=1e-4)
+
+    def integral(values):
+        return scipy.integrate.cumulative_trapezoid(values, place, initial=0.0)
+
+    def from_tip(values):
+        return integral(values)[-1] - integral(values)
+
+    shape, square = place**2, 0.0
+    for _ in range(10):
+        bending = from_tip(from_tip(per_length * shape))
+        curvature = bending / (modulus * width * thickness**3 / 12)
+        moved = integral(integral(curvature))
+        square, shape = shape[-1] / moved[-1], moved / moved[-1]
+    tip = tj.Body("tip", (0.0, length, 0.0), flexure.end_masses[1], 1e-12)
+    bodies = [tj.Body("wall"), tip, *flexure.bodies]
+    found = tj.vibrations(tj.Mechanism(bodies, flexure.hinges, fixed=["wall"]))
+    exact = np.sqrt(square) / (2 * np.pi)
+    np.testing.assert_allclose(found.frequencies[0], exact, rtol=5e-3)
+
+
 def tapered():
     """Return a leaf whose thickness and curvature change along its axis; m, 1/m."""
     steel = tj.Material(210e9, poisson=0.3, density=7800.0, expansion=12e-6)

@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from typing_extensions import TypeAliasType
 
 from ..._compile.compilation import fast_compile
-from ..._utils.host import all_concrete, as_float, concrete, is_traced, on_host
+from ..._utils.host import all_concrete, as_float, concrete, is_traced
 from ..._utils.progress import announced
 from ..._utils.types import (
     Corners,
@@ -67,13 +67,11 @@ _MOST_SEGMENTS = 24
 # Segments for an error of 0.3 % in the natural frequencies of a uniform leaf whose ends
 # are clamped, pinned, guided, or free: a number for each mode, and two more.
 _SEGMENTS_PER_MODE = 2.4
-# Lengths and masses at an end, over those of an inner segment; see `_masses`
-_END_LENGTH = np.sqrt(0.5)
-_END_MASS, _NEXT_MASS = np.sqrt(2) / 6, 0.5 + np.sqrt(2) / 3
+_END_LENGTH = np.sqrt(0.5)  # of a segment, over that of an inner one; see `_masses`
 _LOADS = 1000  # for the error estimate
 
-# Outlines of beams that are not straight or not of uniform thickness
-_POINTS = 2**11 + 1  # of which corners are selected
+# Outlines and masses of beams that are not straight or not of uniform thickness
+_POINTS = 2**11 + 1  # of the integrals; corners are selected from them
 _CHORD_ERROR = 5e-5  # relative to the smallest thickness
 _LARGEST_TURN = 0.05  # between two chords; rad. Denser ones are recognized as arcs.
 _TRACED_CORNERS = 97  # on each side of a beam whose dimensions are not known
@@ -129,7 +127,7 @@ def chain(
     By default the number of segments is that for statics, and too small for frequencies.
     If `modes` or `segments` are given, their errors decrease with the fourth power of the
     number of segments, because the segments at the ends are shorter than the others by
-    the factor 0.707.
+    the factor 0.707; with its second power if the thickness is not constant.
 
     Args:
         name: Name of the flexure. The segments are "name 1", "name 2", and so on, and the
@@ -147,8 +145,8 @@ def chain(
         segments: Number of segments. By default it follows from the force, the rotation,
             and the `modes`.
         modes: Number of natural frequencies of bending between the ends of the flexure
-            that shall have an error of at most 0.3 %. They need 2.4 segments for each
-            mode, and two more.
+            that shall have an error of at most 0.3 %, for a constant thickness. They need
+            2.4 segments for each mode, and two more.
         error: Largest relative error of a component of the wrench of a segment. It cannot
             be checked if the beam is traced.
 
@@ -232,11 +230,11 @@ def chain(
         for k in range(count)
     )  # fmt: skip
     if not has_mass:
-        bodies = [_body(names[k], ends[k], parts[k], None) for k in range(count - 1)]
+        bodies = [_body(names[k], ends[k], beam, None) for k in range(count - 1)]
         return Chain(tuple(bodies), hinges, errors)
-    first_mass, *masses, last_mass = _masses(beam, parts, corrected)
-    bodies = [_body(names[k], ends[k], parts[k], mass) for k, mass in enumerate(masses)]
-    return Chain(tuple(bodies), hinges, errors, (first_mass, last_mass))
+    masses = _masses(parts, corrected)
+    bodies = [_body(names[k], ends[k], beam, masses[k + 1]) for k in range(count - 1)]
+    return Chain(tuple(bodies), hinges, errors, (masses[0, 0], masses[-1, 0]))
 
 
 def _count(relative_force: Scalar, rotation: Scalar, modes: int) -> int:
@@ -274,29 +272,31 @@ def _lengths(count: int, corrected: bool) -> np.ndarray:
     return lengths / np.sum(lengths)
 
 
-def _masses(beam: Beam, parts: list[Beam], corrected: bool) -> list[Scalar]:
-    """Compute the masses at the first end, after each segment, and at the second end; kg.
+def _masses(parts: list[Beam], corrected: bool) -> Float[Array, "nodes 2"]:
+    """Compute the mass (kg) and the rotary inertia (kg m^2) of each end of a segment.
 
-    They are those of the trapezoidal rule with nodes in these places. The rule is
-    `corrected` by other nodes and weights at its ends, with which it is exact for
-    polynomials of the second degree, and has an error of the fourth order otherwise. For
-    two segments, this is Simpson's rule.
+    They are those of a motion that is linear between the ends, so that the sum and the
+    center are those of the flexure. If they are `corrected`, a third of the mass at the
+    ends of the flexure is moved to the next places: with the shorter first and last
+    segments, the error is of the fourth order if the thickness is constant. For two
+    segments, this is Simpson's rule.
     """
-    weights = np.ones(len(parts) + 1)
-    weights[[0, -1]] = 0.5
+    share = (np.arange(_POINTS) + 0.5) / _POINTS  # from the first end of a segment
+    weights = np.stack([1 - share, share]) / _POINTS
+
+    def of_ends(part: Beam) -> Float[Array, "2 2"]:
+        thickness = jax.vmap(part.profile)(part.length * (share - 0.5))
+        mass = part.material.density * part.width * part.length * thickness
+        return weights @ jnp.stack([mass, mass * thickness**2 / 12], axis=-1)
+
+    nodes = jnp.zeros((len(parts) + 1, 2))
+    for k, part in enumerate(parts):
+        nodes = nodes.at[k : k + 2].add(of_ends(part))
     if corrected and len(parts) > 1:
         for end, following in ((0, 1), (-1, -2)):
-            weights[end] = _END_MASS
-            weights[following] -= 1 - _NEXT_MASS
-    weights /= np.sum(weights)
-    ends = [part.profile(part.length / 2) for part in parts]
-    thicknesses = [parts[0].profile(-parts[0].length / 2), *ends]
-    density = beam.material.density
-    assert density is not None
-    return [
-        density * beam.width * beam.length * weight * thickness
-        for weight, thickness in zip(weights, thicknesses, strict=True)
-    ]
+            moved = nodes[end] / 3
+            nodes = nodes.at[following].add(moved).at[end].add(-moved)
+    return nodes
 
 
 def _segment(beam: Beam, shares: np.ndarray, k: int) -> Beam:
@@ -455,16 +455,14 @@ def _layout(parts: tuple[Beam, ...], beam: Beam, at: Pose) -> tuple[list, list]:
     return middles, ends
 
 
-def _body(name: str, pose: Pose, before: Beam, mass: Scalar | None) -> Body:
-    """Create the body after a segment, with the rotary inertia of its cross-section."""
-    inertia = tilt_inertia = None
-    if mass is not None:
-        end = before.profile(before.length / 2)
-        xp, (kilograms, thickness, width) = on_host(mass, end, before.width)
-        inertia = as_float(kilograms * thickness**2 / 12)
-        squares = xp.stack([thickness**2 + width**2, width**2])
-        tilt_inertia = as_float(kilograms / 12 * xp.diag(squares))
-    expansion = before.material.expansion
+def _body(name: str, pose: Pose, beam: Beam, masses: Float[Array, "2"] | None) -> Body:
+    """Create the body between two segments, from its mass and its rotary inertia."""
+    mass = inertia = tilt_inertia = None
+    if masses is not None:
+        mass, inertia = masses
+        along = mass * beam.width**2 / 12
+        tilt_inertia = jnp.diag(jnp.stack([inertia + along, along]))
+    expansion = beam.material.expansion
     return Body(name, pose, mass, inertia, expansion=expansion, tilt_inertia=tilt_inertia)
 
 

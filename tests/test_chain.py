@@ -181,7 +181,8 @@ def test_frequencies_of_a_leaf_in_segments(validated):
 
 
 @pytest.mark.slow
-def test_mass_and_frequency_of_a_filleted_leaf():
+@pytest.mark.parametrize("settings", [{"modes": 1}, {"segments": 12, "force": 60.0}])
+def test_mass_and_frequency_of_a_filleted_leaf(settings):
     """The oracle is the iteration of Stodola for a cantilever."""
     length, width, density, modulus = 50e-3, 10e-3, 7850.0, 210e9
     steel = tj.Material(modulus, poisson=0.3, density=density)
@@ -191,7 +192,7 @@ def test_mass_and_frequency_of_a_filleted_leaf():
         steel, length=length, thickness=profile, width=width, steps=48
     )
     flexure = tj.flexures.chain(
-        "leaf", beam, "wall", "tip", (0.0, length / 2, 0.0), rotation=0.5, modes=1
+        "leaf", beam, "wall", "tip", (0.0, length / 2, 0.0), rotation=0.5, **settings
     )
     place = np.linspace(0.0, length, 20_001)
     thickness = np.asarray(jax.vmap(profile)(place - length / 2))

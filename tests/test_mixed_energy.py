@@ -178,6 +178,16 @@ def test_surrogate_of_a_leaf_equals_the_beam_under_new_loads(degrees, validated)
 
 
 @pytest.mark.slow
+def test_a_surrogate_for_small_forces_equals_the_beam():
+    """Its range is larger than the given one, with E I / L^2 = 1."""
+    hinge = tj.flexures.surrogate(beam(), rotation=0.5, force=1e-4)
+    np.testing.assert_allclose(hinge.force, 0.02, rtol=0.02)
+    exact = tj.flexures.beam_under_load(beam(), jnp.array([0.3, 1e-4, -1e-4]))
+    error = np.asarray(hinge.wrench(exact.pose) - exact.wrench)
+    np.testing.assert_array_less(np.abs(error), 1e-3 * np.array([0.3, 0.01, 0.01]))
+
+
+@pytest.mark.slow
 def test_reference_stiffness_of_a_surrogate_is_that_of_a_timoshenko_beam(leaf):
     expected = tj.flexures.linear_leaf(
         UNIT, length=1.0, thickness=0.1, width=12e3, theory="timoshenko"

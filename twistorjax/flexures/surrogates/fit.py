@@ -17,6 +17,9 @@ from ...energies.monomials import Powers
 from ...energies.potentials import variable_units
 
 
+_DIAGONAL = 1e-13  # above the rounding errors of products of columns of unit norm
+
+
 def fit_coefficients(
     powers: Powers,
     stiff: tuple[int, ...],
@@ -81,11 +84,12 @@ def least_squares(
 ) -> Float[Array, " terms"]:
     """Solve linear least squares by normal equations of columns of unit norm.
 
-    Normal equations are easy to differentiate.
+    Normal equations are easy to differentiate. With small forces, some terms are almost
+    linear combinations of others: the small diagonal determines their coefficients.
     """
     norms = jnp.sqrt(jnp.sum(rows**2, axis=0))
     scaled = rows / norms[None]
-    factor = cho_factor(scaled.T @ scaled)
+    factor = cho_factor(scaled.T @ scaled + _DIAGONAL * jnp.eye(len(norms)))
     return cho_solve(factor, scaled.T @ targets) / norms
 
 

@@ -16,6 +16,9 @@ from ..beams.under_load import end_section, pose_and_wrench, reference_ends
 
 SAMPLES = 800  # for the fit; half as many more are for the error estimate
 _STEPS = 10  # of Newton's method
+# Smallest range of forces, in E I / L^2. In smaller ones, rounding errors of the
+# displacements along a beam that is bent are those of large forces.
+_LEAST_FORCE = 0.02
 # Error of the rotations after which one more step of Newton's method is exact; rad
 _CORRECTED = 1e-8
 
@@ -60,7 +63,8 @@ def sample_beam(beam: Beam, rotation: Scalar, force: Scalar | None) -> Samples:
     stiffness = jnp.linalg.inv(
         jax.jacfwd(lambda load: displace(load)[0])(jnp.zeros(3)) / units[None]
     )
-    limit = 5 * stiffness[0, 0] / beam.length if force is None else force
+    unit = stiffness[0, 0] / beam.length
+    limit = 5 * unit if force is None else jnp.maximum(force, _LEAST_FORCE * unit)
     # The samples are constants for differentiation; only their poses and wrenches at
     # given loads depend on the beam.
     constant_beam, constant_ends, largest_rotation, largest_force, compliance = (

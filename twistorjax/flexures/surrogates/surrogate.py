@@ -64,7 +64,8 @@ def surrogate(
         displacement: Instead of the rotation, largest displacement along axis 2 of a
             sub-mechanism that is compliant in this direction, such as a parallelogram; m.
         force: Largest magnitude of the force, in any direction; N. The default for a
-            beam is 5 E I / L^2, with the length L. Above about 10 E I / L^2, a beam in
+            beam is 5 E I / L^2, with the length L, and the smallest range is 0.02
+            E I / L^2, also if a smaller one is given. Above about 10 E I / L^2, a beam in
             compression buckles between its ends, which a polynomial cannot represent; see
             `chain`. If the displacement is given, it is the largest axial force, and
             moments are up to this force times `sqrt(k_rotation / k_axial)`, with the

@@ -270,6 +270,17 @@ class TestRange:
         with pytest.raises(ValueError, match="The hinge 'leaf 1': its rotation"):
             Condensed(FLEXURES[name][0](leaf))(jnp.array([1.01 * limit, 0.0, 0.0]))
 
+    @pytest.mark.slow
+    def test_the_shares_of_linear_leaves_are_those_in_the_whole_mechanism(self):
+        """The leaves of a cartwheel rotate by half."""
+        size = {"length": LENGTH, "thickness": THICKNESS, "width": 10e-3}
+        leaf = tj.flexures.linear_leaf(STEEL, **size)
+        part = FLEXURES["cartwheel"][0](leaf)
+        drives = [tj.Drive("B", angle=0.05)]
+        whole = tj.equilibrium(part.mechanism, drives=drives).range_shares
+        condensed = tj.equilibrium(linkage_of(Condensed(part)), drives=drives)
+        assert_close(condensed.range_shares, [np.max(whole)], rtol=1e-6)
+
     def test_the_force_follows_from_the_ranges_in_it(self):
         """Within it, the moment of the pivot is that of its leaves in equilibrium."""
         pivot = FLEXURES["cross-spring"][0](RANGED_LEAF)

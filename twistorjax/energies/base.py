@@ -8,7 +8,7 @@ dissertation.
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import fields
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -61,6 +61,9 @@ class AbstractEnergy(Printed):
         >>> QuarticSpring(2.0).wrench(jnp.array([0.1, 0.0, 0.0]))
         Array([0.002, 0.   , 0.   ], dtype=float64)
     """
+
+    # Whether the energies in its fields have the same displacement
+    _parts_are_displaced_alike: ClassVar[bool] = True
 
     @abstractmethod
     def stored_energy(self, displacement: Displacement) -> Scalar:
@@ -444,14 +447,21 @@ class Scaled(AbstractWrapper):
         return None
 
 
-def nested(energy: AbstractEnergy) -> Iterator[AbstractEnergy]:
-    """Iterate over an energy and all energies in its fields, at any depth."""
+def nested(
+    energy: AbstractEnergy, *, displaced_alike: bool = False
+) -> Iterator[AbstractEnergy]:
+    """Iterate over an energy and all energies in its fields, at any depth.
+
+    If they must be `displaced_alike`, those in a sub-mechanism are left out.
+    """
     yield energy
+    if displaced_alike and not energy._parts_are_displaced_alike:
+        return
     for field in fields(energy):
         value = getattr(energy, field.name, None)
         for part in jax.tree.leaves(value, is_leaf=is_energy):
             if is_energy(part):
-                yield from nested(part)
+                yield from nested(part, displaced_alike=displaced_alike)
 
 
 def is_energy(value: Any) -> bool:
@@ -464,14 +474,15 @@ def out_of_range(energy: AbstractEnergy, displacement: Displacement) -> Flag | N
 
     The ranges of all nested energies count. The result is None if there is no range.
     """
-    outside = [part.out_of_range(displacement) for part in nested(energy)]
+    parts = nested(energy, displaced_alike=True)
+    outside = [part.out_of_range(displacement) for part in parts]
     outside = [flag for flag in outside if flag is not None]
     return jnp.any(jnp.stack(outside)) if outside else None
 
 
 def range_message(energy: AbstractEnergy, displacement: Displacement) -> str:
     """Describe a displacement and the first validity range outside of which it is."""
-    for part in nested(energy):
+    for part in nested(energy, displaced_alike=True):
         outside = part.out_of_range(displacement)
         if outside is not None and concrete(outside) is not None and outside:
             return part.range_message(displacement)
@@ -483,7 +494,8 @@ def range_share(energy: AbstractEnergy, displacement: Displacement) -> Scalar | 
 
     The result is None if no nested energy is that of a linear flexure or `quartic_leaf`.
     """
-    shares = [part.range_share(displacement) for part in nested(energy)]
+    parts = nested(energy, displaced_alike=True)
+    shares = [part.range_share(displacement) for part in parts]
     shares = [share for share in shares if share is not None]
     return largest_of(jnp.stack(shares)) if shares else None
 

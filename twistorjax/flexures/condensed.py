@@ -1,6 +1,7 @@
 """Exact energy of a sub-mechanism as a function of the displacement of its two ends."""
 
 from functools import partial
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._utils.pytrees import largest_of
 from .._utils.types import Flag, Matrix, Pose, Poses, Scalar
 from ..energies.base import AbstractEnergy
 from ..geometry.twistors import Displacement
@@ -22,8 +24,10 @@ class Condensed(AbstractEnergy):
     It is the smallest energy of all hinges at a displacement of body B relative to body
     A. Its derivative is the wrench of the hinges on body B at this equilibrium (envelope
     theorem), and its stiffness is the Schur complement of that of the sub-mechanism.
-    Derivatives of all orders are exact. If there is no stable equilibrium, the energy is
-    NaN. The energy is valid where all hinges are in their validity ranges.
+    Derivatives of all orders are exact. The energy is valid where all hinges are in their
+    validity ranges. If no stable equilibrium is found, the energy is NaN. It is followed
+    while the displacement increases in proportion, so that a large stroke of stages in
+    series may lead through states in which leaves buckle.
 
     An evaluation solves for the equilibrium of the inner bodies; `surrogate` makes a fast
     energy of a sub-mechanism.
@@ -51,6 +55,7 @@ class Condensed(AbstractEnergy):
     """
 
     part: SubMechanism
+    _parts_are_displaced_alike: ClassVar[bool] = False
 
     def stored_energy(self, displacement: Displacement) -> Scalar:
         part = self.part.without_ranges()
@@ -67,6 +72,12 @@ class Condensed(AbstractEnergy):
         return mechanism.range_messages(
             mechanism.reference + self._displacements(displacement)
         ).rstrip(".")
+
+    def range_share(self, displacement: Displacement) -> Scalar | None:
+        """Compute the largest share of a hinge of the sub-mechanism."""
+        hinges = self.part.mechanism.hinge_assembly
+        shares = hinges.range_shares(self._displacements(displacement))
+        return None if shares is None else largest_of(shares)
 
     def _displacements(self, displacement: Displacement) -> Poses:
         """Compute the displacements of all bodies; rad, m, m."""

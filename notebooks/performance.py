@@ -43,7 +43,8 @@ ERROR = "error of the estimates"
 PEER_STEPS = "EXUDYN (1000 steps), finite differences, SciPy"
 PEER_IDENTIFIED = f"{PEER_STEPS}: {IDENTIFIED}"
 WRENCH = (
-    "`{}`, rotations up to 46°: RMS error of the wrench, largest component"
+    "`{}`, rotations up to 46° in the range of `leaf`: "
+    "RMS error of the wrench, largest component"
 )
 HEIGHT = "parallel guide displaced by L/10: change of height, error of `{}`"
 ENERGIES = {
@@ -115,8 +116,9 @@ def readme(own: Results) -> str:
         )
     ]
     rows = [
-        ("wrench (moment and force) of a leaf at rotations up to 46°, error "
-         "relative to the exact beam", errors[0], ""),
+        ("wrench (moment and force) of a leaf in its validity range, with "
+         "rotations up to 46°, error relative to the exact beam", errors[0],
+         ""),
         ("height change of a parallel guide that is displaced by a tenth of "
          "its leaf length, error", errors[1], ""),
         ("displacement gain of the stage", f"{own(GAINS)} (2 cores)",

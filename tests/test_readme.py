@@ -181,6 +181,31 @@ def test_times_in_the_pages_are_those_of_the_benchmarks(monkeypatch):
         assert page.read_text() == text
 
 
+def test_numbers_in_the_paper_are_those_of_the_benchmarks(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "notebooks"))
+    performance = importlib.import_module("performance")
+    own, fast = performance.results()
+    identified = performance.IDENTIFIED
+    names = [
+        performance.GAINS,
+        performance.DERIVATIVES,
+        performance.PEER.format("EXUDYN"),
+        performance.MOTION,
+        performance.PEER_MOTION.format("EXUDYN"),
+        performance.PEER_MOTION.format("SciPy LSODA with Numba"),
+        *(f"{identified}: {kind} compilation" for kind in ("without", "with")),
+        f"{identified}: {performance.ERROR}",
+        performance.PEER_IDENTIFIED,
+        f"{performance.PEER_STEPS}: {performance.ERROR}",
+        *(performance.WRENCH.format(model) for model in ("linear_leaf", "surrogate")),
+    ]
+    rate = fast.value(f"{performance.GAINS}, 1,000,000 designs")
+    numbers = [own(name).removesuffix(" /s") for name in names]
+    paper = (ROOT / "notebooks" / "paper.md").read_text()
+    for number in (*numbers, f"{rate / 1e6:.3g} million"):
+        assert f" {number}" in paper or f"({number}" in paper
+
+
 @pytest.mark.parametrize(
     "namespace",
     ["energies", "flexures", "solve", "identification", "sweeps", "plotting", "io"],

@@ -415,6 +415,40 @@ def test_drift_per_kelvin_is_a_derivative():
     assert_close(drift[0], -12e-6 * LENGTH / SPACING, digits=6)
 
 
+PIN = tj.Pin("joint", "A", "B", at=(0.15, 0.0))
+RAIL = tj.Slider("joint", "A", "B", at=(np.pi / 2, 0.15, 0.0))
+
+
+def jointed(of_a, of_b):
+    """Return two bodies on a spring, with origins at x = 0 and x = 50 mm."""
+    spring = tj.Quadratic(jnp.diag(jnp.array([1.0, 10.0, 10.0])))
+    bodies = [
+        tj.Body("A", expansion=of_a),
+        tj.Body("B", (0.0, 0.05, 0.0), mass=1.0, inertia=1.0, expansion=of_b),
+    ]
+    hinge = tj.Hinge("spring", "A", "B", spring, at=(0.0, 0.02, 0.0))
+    return tj.Mechanism(bodies, [hinge], fixed=["A"])
+
+
+@pytest.mark.parametrize("joint", [PIN, RAIL])
+def test_a_joint_moves_with_the_expansion_of_both_bodies(joint):
+    warm = jointed(1e-5, 2e-5).at_temperature(30.0).at_temperature(20.0)
+    moved = tj.equilibrium(warm, constraints=[joint]).displacement("B")[1]
+    np.testing.assert_allclose(moved, (0.15 * 1e-5 - 0.1 * 2e-5) * 50.0, rtol=1e-3)
+    alike = jointed(1e-5, 1e-5).at_temperature(50.0)
+    scaled = tj.equilibrium(alike, constraints=[joint])
+    np.testing.assert_allclose(scaled.displacement("B")[1], 0.05e-5 * 50.0, rtol=1e-9)
+    assert np.all(np.abs(scaled.constraint_force("joint")) < 1e-12)
+
+
+def test_a_joint_does_not_move_with_a_temperature_that_changes():
+    body = jointed(1e-5, 1e-5)
+    with pytest.raises(ValueError, match=r"'joint' is on the body 'A'.*`at_temperature`"):
+        tj.path(body, temperature=5.0, constraints=[PIN])
+    with pytest.raises(ValueError, match=r"'joint' is on the body 'A'.*`at_temperature`"):
+        tj.simulate(body, [0.0, 1.0], temperature=lambda t: 5.0 * t, constraints=[PIN])
+
+
 def test_expansions_are_saved(tmp_path):
     file = tmp_path / "guide.json"
     mechanism = guide()

@@ -15,7 +15,6 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints, Literal, NamedTuple, Union
 
 import equinox as eqx
-import numpy as np
 from jaxtyping import AbstractArray, Array, Float
 from typing_extensions import TypeAliasType
 
@@ -150,7 +149,7 @@ def _kinds(base: type) -> list[str]:
 
 def _fields_of_mechanism(mechanism: Mechanism) -> dict[str, Any]:
     assembly = mechanism.hinge_assembly
-    if assembly.misfits is not None and np.any(np.asarray(assembly.misfits)[:, 3:]):
+    if mechanism.thermal_strains is not None:
         raise ValueError(
             "The mechanism has been expanded by `at_temperature`, but a file contains a "
             "mechanism before its expansion. Save that mechanism."

@@ -201,6 +201,8 @@ class ConstraintSet(eqx.Module):
     # Number of scalar equations of each constraint
     sizes: tuple[int, ...] = eqx.field(static=True)
     reference: Poses  # Reference poses of all bodies; rad, m, m
+    # Reference poses of the bodies of each constraint, for its violation; rad, m, m
+    references: tuple[Poses, ...]
 
     @property
     def size(self) -> int:
@@ -216,10 +218,10 @@ class ConstraintSet(eqx.Module):
         """Compute the violation of all constraints at a time (s); rad or m."""
         poses = self.reference + displacements
         parts = [
-            constraint.violation(
-                poses[np.array(rows)], self.reference[np.array(rows)], time
+            constraint.violation(poses[np.array(rows)], references, time)
+            for constraint, rows, references in zip(
+                self.constraints, self.bodies, self.references, strict=True
             )
-            for constraint, rows in zip(self.constraints, self.bodies, strict=True)
         ]
         return jnp.concatenate([jnp.zeros(0), *parts])
 
@@ -251,13 +253,15 @@ class ConstraintSet(eqx.Module):
         """
         poses, size = self.reference + displacements, displacements.size
         total, first = jnp.zeros((size, size)), 0
-        for constraint, bodies, count in zip(
-            self.constraints, self.bodies, self.sizes, strict=True
+        for constraint, bodies, count, references in zip(
+            self.constraints, self.bodies, self.sizes, self.references, strict=True
         ):
             rows, own = np.array(bodies), multipliers[first : first + count]
 
-            def work(at: Poses, constraint=constraint, rows=rows, own=own) -> Scalar:
-                return own @ constraint.violation(at, self.reference[rows], time)
+            def work(
+                at: Poses, constraint=constraint, references=references, own=own
+            ) -> Scalar:
+                return own @ constraint.violation(at, references, time)
 
             dofs = (3 * rows[:, None] + np.arange(3)).reshape(-1)
             matrix = jax.hessian(work)(poses[rows]).reshape(2 * (dofs.size,))
@@ -276,7 +280,7 @@ def gather_constraints(
 ) -> ConstraintSet:
     """Gather constraints on the bodies of a mechanism."""
     require_kind("constraints", constraints, AbstractConstraint)
-    given, bodies, sizes, names = [], [], [], set()
+    given, bodies, sizes, all_references, names = [], [], [], [], set()
     for constraint in constraints:
         where = f"The constraint {constraint.name!r}"
         if constraint.name in names:
@@ -289,6 +293,9 @@ def gather_constraints(
             constraint = constraint.traced()
         given.append(constraint)
         references = mechanism.reference[np.array(rows)]
+        if mechanism.thermal_strains is not None and isinstance(constraint, Pin | Slider):
+            strains = mechanism.thermal_strains[np.array(rows)]
+            references = _expanded(references, constraint.at[-2:], strains)
         shape = eqx.filter_eval_shape(
             constraint.violation, references, references, jnp.zeros(())
         ).shape
@@ -299,7 +306,36 @@ def gather_constraints(
             )
         bodies.append(rows)
         sizes.append(shape[0])
-    return ConstraintSet(tuple(given), tuple(bodies), tuple(sizes), mechanism.reference)
+        all_references.append(references)
+    return ConstraintSet(
+        tuple(given),
+        tuple(bodies),
+        tuple(sizes),
+        mechanism.reference,
+        tuple(all_references),
+    )
+
+
+def _expanded(references: Poses, point: Point, strains: Float[Array, " bodies"]) -> Poses:
+    """Move the origins of bodies, so that their distances from a point expand; m."""
+    arms = references[:, 1:] - point[None]
+    return references.at[:, 1:].add(strains[:, None] * arms)
+
+
+def require_rigid_joints(
+    mechanism: Mechanism, constraints: Sequence[AbstractConstraint]
+) -> None:
+    """Check that no pin or slider is on a body that expands while it is solved."""
+    for constraint in constraints:
+        if not isinstance(constraint, Pin | Slider):
+            continue
+        for body in constraint.bodies:
+            if mechanism.expansions[mechanism.index(body)] is not None:
+                raise ValueError(
+                    f"The constraint {constraint.name!r} is on the body {body!r}, which "
+                    "has an `expansion`, but pins and sliders do not move with a "
+                    "`temperature` that changes. Solve the mechanism `at_temperature`."
+                )
 
 
 def _moved_frames(frame: Pose, poses: Poses, references: Poses) -> list[Pose]:

@@ -106,6 +106,7 @@ class Mechanism(eqx.Module):
     inertias: PerPart[Scalar]
     outlines: PerPart[Corners]
     expansions: PerPart[Scalar]
+    thermal_strains: Float[Array, " bodies"] | None
     tilt_inertias: PerPart[Float[Array, "2 2"]]
     at: Float[Array, "hinges 3"]
     hinge_outlines: PerPart[Corners | AbstractOutline]
@@ -132,6 +133,7 @@ class Mechanism(eqx.Module):
         self.inertias = per_part("inertia", body_copies)
         self.outlines = per_part("outline", body_copies)
         self.expansions = per_part("expansion", body_copies)
+        self.thermal_strains = None
         self.tilt_inertias = per_part("tilt_inertia", body_copies)
         self.hinge_outlines = per_part("outline", hinge_copies)
         self.hinge_expansions = per_part("expansion", hinge_copies)
@@ -190,7 +192,8 @@ class Mechanism(eqx.Module):
     ) -> "Mechanism":
         """Return the mechanism at another temperature.
 
-        Bodies expand about the origins of their frames. Hinges with an `expansion` become
+        Bodies expand about the origins of their frames, with the points of pins and sliders
+        on them, but without those of loads and ports. Hinges with an `expansion` become
         longer, which changes their misfits, and get a natural curvature by a gradient of
         the temperature. The stiffness of leaves, notches, and surrogates is that of their
         new dimensions, so that a mechanism of one material at one temperature is only
@@ -220,14 +223,21 @@ class Mechanism(eqx.Module):
             and no force, and if it is free it bends to an arc. For a notch or another
             flexure of variable section, moment and force are exact to first order.
         """
-        warm, at = expanded(
+        warm, at, strains = expanded(
             self.hinge_assembly,
             self.at,
             dict(zip(self.names, self.expansions, strict=True)),
             dict(zip(self.hinge_names, self.hinge_expansions, strict=True)),
             Temperature(change, bodies, hinges, gradients),
         )
-        return eqx.tree_at(lambda new: new.at, self.with_hinges(warm), at)
+        if self.thermal_strains is not None:
+            strains = (1 + self.thermal_strains) * (1 + strains) - 1
+        return eqx.tree_at(
+            lambda new: (new.at, new.thermal_strains),
+            self.with_hinges(warm),
+            (at, strains),
+            is_leaf=lambda leaf: leaf is None,
+        )
 
     def hinges_in(self, state: HingeState) -> HingeAssembly:
         """Return the hinges with the strokes and the temperatures of a state."""

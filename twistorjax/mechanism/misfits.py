@@ -127,11 +127,11 @@ def expanded(
     bodies: Mapping[str, Scalar | None],
     hinges: Mapping[str, Expansion | None],
     temperature: Temperature,
-) -> tuple[HingeAssembly, Float[Array, "hinges 3"]]:
+) -> tuple[HingeAssembly, Float[Array, "hinges 3"], Float[Array, " bodies"]]:
     """Expand bodies and hinges, and move hinges; see `Mechanism.at_temperature`.
 
     `at` are the poses of the hinges in the world (rad, m, m), and `bodies` coefficients
-    of expansion (1/K).
+    of expansion (1/K). The strains of the bodies are returned, too.
     """
     change, of_single_bodies, of_single_hinges, gradients = temperature
     _require_expansions(assembly, bodies, hinges, {**of_single_hinges, **gradients})
@@ -178,7 +178,7 @@ def expanded(
     )
     warm = warm.with_more_misfit(as_float(xp.stack(columns, axis=1)))
     moved_at = xp.concatenate([poses[:, :1], poses[:, 1:] + middle], axis=1)
-    return warm, as_float(moved_at)
+    return warm, as_float(moved_at), as_float(body_strains)
 
 
 def _require_small_strains(noun: str, names: Sequence[str], strains: Any) -> None:

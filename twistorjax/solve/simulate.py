@@ -13,7 +13,11 @@ from .._utils.pytrees import stop_gradient
 from .._utils.types import NumberLike, TimesLike, VelocityLike
 from .._utils.validation import require_float64
 from ..mechanism.changes import HingeChanges, TemperatureInTime
-from ..mechanism.constraints import AbstractConstraint, gather_constraints
+from ..mechanism.constraints import (
+    AbstractConstraint,
+    gather_constraints,
+    require_rigid_joints,
+)
 from ..mechanism.loads import LoadSet, prescribed_dofs
 from ..mechanism.mechanism import Mechanism
 from ..results.codes import finish
@@ -184,6 +188,8 @@ def simulate(
     # In a program, thousands of masses that are gathered one by one take long to compile.
     inertia = mechanism.inertia()
     constraint_set = gather_constraints(mechanism, constraints)
+    if temperature is not None:
+        require_rigid_joints(mechanism, constraints)
     start_of_motion = StartOfMotion(
         mechanism, drives, constraint_set, displacements, first, dofs, rates is not None
     )

@@ -18,7 +18,7 @@ from ...mechanism.changes import (
     TemperatureInTime,
     with_arrays,
 )
-from ...mechanism.constraints import AbstractConstraint
+from ...mechanism.constraints import AbstractConstraint, require_rigid_joints
 from ...mechanism.loads import Drive, Load, LoadSet
 from ...mechanism.mechanism import Mechanism
 from ...mechanism.misfits import Temperature
@@ -70,6 +70,8 @@ def assemble_path(
             "`strokes`, or `temperature`."
         )
     problem = Problem.of(mechanism, loads, drives, constraints, time)
+    if temperature is not None:
+        require_rigid_joints(mechanism, constraints)
     if isinstance(start, CriticalPoint):
         is_simple_limit = concrete(~start.is_branch & (start.multiplicity == 1))
         if is_simple_limit is not None and is_simple_limit:

@@ -202,7 +202,7 @@ class ConstraintSet(eqx.Module):
     sizes: tuple[int, ...] = eqx.field(static=True)
     reference: Poses  # Reference poses of all bodies; rad, m, m
     # Reference poses of the bodies of each constraint, for its violation; rad, m, m
-    references: tuple[Poses, ...]
+    references: tuple[Float[Array, "_ 3"], ...]
 
     @property
     def size(self) -> int:

@@ -388,7 +388,7 @@ def test_path_follows_the_snap_through_of_a_truss_in_a_file(run_here, tmp_path):
     factors = [point["load_factor"] for point in points]
     np.testing.assert_allclose(factors, found.critical_points.load_factors, rtol=1e-9)
     assert record["stable"].count(False) == np.sum(~found.stable)
-    done = run_here(*options, "--over", "apex:z")
+    done = run_here(*options, "--plot", "truss.png", "--over", "apex:z")
     assert (done.returncode, done.stderr.count("--over is 'apex:z'")) == (2, 1)
 
 

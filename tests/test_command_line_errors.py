@@ -31,6 +31,7 @@ def assert_usage_error(done, message):
         (["--plot", "nowhere/stage.png"], "there is no folder nowhere"),
         (["--plot", "stage.poem"], "'--plot': stage.poem must end with one of"),
         (["--step"], "--step needs --transient"),
+        (["--damping-time", "1e-4"], "--damping-time needs --transient"),
         (["--transient", "--temperature", "1"], "--temperature is for the static gain"),
         (["--gian"], "--gian"),
     ],
@@ -66,6 +67,22 @@ def test_load_cases_that_all_fail(run_here):
     assert done.returncode == 1
     assert "2 load cases: no_equilibrium" in done.stdout
     assert done.stderr.startswith("twistorjax: All load cases failed. No equilibrium")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "needed"),
+    [
+        (["solve", "--magnify", "10"], "--plot"),
+        (["path", "--over", "table:x"], "--plot"),
+        (["modes", "--mode", "2"], "--animate"),
+        (["fit-energy", "--without-range"], "--out"),
+    ],
+)
+def test_an_option_that_has_no_effect_without_another(run_here, arguments, needed):
+    command, option, *_ = arguments
+    (run_here.folder / "guide.json").touch()
+    done = run_here(command, "guide.json", *arguments[1:])
+    assert_usage_error(done, f"{option} needs {needed}")
 
 
 def test_an_unknown_command(run_here):

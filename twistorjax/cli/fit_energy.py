@@ -15,6 +15,7 @@ from .common import (
     reporting_errors,
     SeedOption,
     SolveError,
+    UsageError,
 )
 
 
@@ -83,6 +84,8 @@ def fit_energy(
 
     Example: twistorjax fit-energy trials.csv --coordinates mixed --symmetry leaf
     """
+    if without_range and out is None:
+        raise UsageError("--without-range needs --out, the file of the energy.")
     prepare_jax()
     from ..energies.fitting.polynomial import fit_energy as fit
     from ..energies.fitting.trials import read_trials

@@ -40,6 +40,8 @@ def modes(
 
     Example: twistorjax modes guide.json --animate mode.gif
     """
+    if mode != 1 and animate is None:
+        raise UsageError("--mode needs --animate: it selects the mode of the animation.")
     prepare_jax()
     from ..solve.vibrations import vibrations
 

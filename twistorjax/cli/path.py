@@ -41,6 +41,8 @@ def path(
 
     Example: twistorjax path switch.json --load shuttle:0,-20 --plot switch.png
     """
+    if over is not None and plot is None:
+        raise UsageError("--over needs --plot: it selects the coordinate of the figure.")
     prepare_jax()
     from ..plotting.path_plots import draw_path
     from ..solve.path import path as follow

@@ -51,6 +51,8 @@ def solve(
 
     Example: twistorjax solve guide.json --load table:5,0 --plot guide.png --magnify 10
     """
+    if magnify != 1.0 and plot is None:
+        raise UsageError("--magnify needs --plot: it enlarges the drawn displacements.")
     prepare_jax()
     from ..solve.equilibrium import equilibrium
 

@@ -78,6 +78,8 @@ def stage(
     """
     if step and not transient:
         raise UsageError("--step needs --transient: it selects the input of a motion.")
+    if damping_time != 1e-3 and not transient:
+        raise UsageError("--damping-time needs --transient, a motion.")
     if transient and temperature is not None:
         raise UsageError("--temperature is for the static gain, without --transient.")
     if transient:

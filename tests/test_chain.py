@@ -195,9 +195,10 @@ def test_mass_and_frequency_of_a_filleted_leaf(settings):
         "leaf", beam, "wall", "tip", (0.0, length / 2, 0.0), rotation=0.5, **settings
     )
     place = np.linspace(0.0, length, 20_001)
-    thickness = np.asarray(jax.vmap(profile)(place - length / 2))
+    thickness = np.asarray(jax.vmap(profile)(jnp.asarray(place - length / 2)))
     per_length = density * width * thickness
     mass = scipy.integrate.trapezoid(per_length, place)
+    assert flexure.end_masses is not None
     masses = [*(body.mass for body in flexure.bodies), *flexure.end_masses]
     np.testing.assert_allclose(sum(masses), mass, rtol=1e-4)
 

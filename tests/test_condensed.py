@@ -273,12 +273,14 @@ class TestRange:
     @pytest.mark.slow
     def test_the_shares_of_linear_leaves_are_those_in_the_whole_mechanism(self):
         """The leaves of a cartwheel rotate by half."""
-        size = {"length": LENGTH, "thickness": THICKNESS, "width": 10e-3}
-        leaf = tj.flexures.linear_leaf(STEEL, **size)
+        leaf = tj.flexures.linear_leaf(
+            STEEL, length=LENGTH, thickness=THICKNESS, width=10e-3
+        )
         part = FLEXURES["cartwheel"][0](leaf)
         drives = [tj.Drive("B", angle=0.05)]
         whole = tj.equilibrium(part.mechanism, drives=drives).range_shares
         condensed = tj.equilibrium(linkage_of(Condensed(part)), drives=drives)
+        assert whole is not None and condensed.range_shares is not None
         assert_close(condensed.range_shares, [np.max(whole)], rtol=1e-6)
 
     def test_the_force_follows_from_the_ranges_in_it(self):

@@ -82,7 +82,7 @@ CALLS = [
     lambda: guide(leaf(length=40e-3)),
     lambda: solved(loads=[tj.Load("tabel", force=(5.0, 0.0))]),
     lambda: tj.port_compliance(guide(), "left"),
-    lambda: tj.equilibium,
+    lambda: tj.equilibium,  # pyright: ignore[reportAttributeAccessIssue]
     lambda: solved(loads=PUSH),
     lambda: guide(fixed="base"),
     lambda: tj.equilibrium(guide(fixed=())),
@@ -112,15 +112,16 @@ CALLS = [
 def test_a_message_is_that_of_the_manual(quote, call):
     kind, text = quote
     parts = [re.escape(part.strip()) for part in text.replace("\\", "").split("...")]
-    with warnings.catch_warnings(record=True) as found:
+    raised = []
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         try:
             call()
         except Exception as error:
-            found.append(error)
+            raised.append(error)
     messages = [
         (type(message).__name__, " ".join(str(message).split()))
-        for message in (getattr(one, "message", one) for one in found)
+        for message in (*raised, *(warning.message for warning in warned))
     ]
     pattern = ".*".join(parts)
     assert any(

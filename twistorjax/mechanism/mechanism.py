@@ -195,11 +195,11 @@ class Mechanism(eqx.Module):
         Bodies expand about the origins of their frames, with the points of pins and
         sliders on them, but without those of loads and ports. Hinges with an `expansion`
         become longer, which changes their misfits, and get a natural curvature by a
-        gradient of the temperature. The stiffness of leaves, notches, and surrogates is that of their
-        new dimensions, so that a mechanism of one material at one temperature is only
-        scaled. Moduli of materials, energies that are not those of flexures, such as a
-        `Quadratic` without `flexure=True`, and misfits that the hinges already have, do
-        not change.
+        gradient of the temperature. The stiffness of leaves, notches, and surrogates is
+        that of their new dimensions, so that a mechanism of one material at one
+        temperature is only scaled. Moduli of materials, energies that are not those of
+        flexures, such as a `Quadratic` without `flexure=True`, and misfits that the
+        hinges already have, do not change.
 
         Args:
             change: Change of the temperature; K.

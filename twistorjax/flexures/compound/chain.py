@@ -192,8 +192,8 @@ def chain(
         raise ValueError(
             f"`modes` is {modes!r}, but must be a whole number, zero or more."
         )
-    has_mass, count = beam.material.density is not None, segments
-    if modes and not has_mass:
+    density, count = beam.material.density, segments
+    if modes and density is None:
         raise ValueError(
             "`modes` is given, but the material has no `density`: "
             "`Material(..., density=7850.0)`."
@@ -205,7 +205,7 @@ def chain(
             f"`segments` is {count!r}, but must be a whole number from 1 to "
             f'{_MOST_SEGMENTS}, or "auto".'
         )
-    corrected = has_mass and (modes > 0 or segments != "auto")
+    corrected = density is not None and (modes > 0 or segments != "auto")
     shares = _lengths(count, corrected)
     parts = [_segment(beam, shares, k) for k in range(count)]
     longest = float(np.max(shares))
@@ -229,10 +229,10 @@ def chain(
         )
         for k in range(count)
     )  # fmt: skip
-    if not has_mass:
+    if density is None:
         bodies = [_body(names[k], ends[k], beam, None) for k in range(count - 1)]
         return Chain(tuple(bodies), hinges, errors)
-    masses = _masses(parts, corrected)
+    masses = _masses(parts, density, corrected)
     bodies = [_body(names[k], ends[k], beam, masses[k + 1]) for k in range(count - 1)]
     return Chain(tuple(bodies), hinges, errors, (masses[0, 0], masses[-1, 0]))
 
@@ -272,7 +272,9 @@ def _lengths(count: int, corrected: bool) -> np.ndarray:
     return lengths / np.sum(lengths)
 
 
-def _masses(parts: list[Beam], corrected: bool) -> Float[Array, "nodes 2"]:
+def _masses(
+    parts: list[Beam], density: Scalar, corrected: bool
+) -> Float[Array, "nodes 2"]:
     """Compute the mass (kg) and the rotary inertia (kg m^2) of each end of a segment.
 
     They are those of a motion that is linear between the ends, so that the sum and the
@@ -282,11 +284,11 @@ def _masses(parts: list[Beam], corrected: bool) -> Float[Array, "nodes 2"]:
     segments, this is Simpson's rule.
     """
     share = (np.arange(_POINTS) + 0.5) / _POINTS  # from the first end of a segment
-    weights = np.stack([1 - share, share]) / _POINTS
+    weights = jnp.asarray(np.stack([1 - share, share]) / _POINTS)
 
     def of_ends(part: Beam) -> Float[Array, "2 2"]:
         thickness = jax.vmap(part.profile)(part.length * (share - 0.5))
-        mass = part.material.density * part.width * part.length * thickness
+        mass = density * part.width * part.length * thickness
         return weights @ jnp.stack([mass, mass * thickness**2 / 12], axis=-1)
 
     nodes = jnp.zeros((len(parts) + 1, 2))

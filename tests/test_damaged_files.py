@@ -22,7 +22,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:The mass of the body"),
     pytest.mark.filterwarnings("ignore:`inertia` of the body"),
     pytest.mark.filterwarnings("ignore:The size of the outline"),
-    pytest.mark.filterwarnings("ignore:The start of the hinge"),
+    pytest.mark.filterwarnings("ignore:The (start of the )?hinge"),
 ]
 
 

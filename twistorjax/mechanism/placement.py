@@ -48,7 +48,7 @@ def warn_if_misplaced(
         hinge, of_bodies, frame = copies.part, ends[start], known[start]
         start += len(copies)
         length = _length(hinge) if len(copies) == 1 else None
-        if length is None:
+        if not length:  # unknown, or an outline without an extent along axis 1
             continue
         pair = [rows[body][0][rows[body][1]] for body in of_bodies]
         has_outlines = all(body.outline is not None for body in pair)

@@ -610,12 +610,14 @@ def test_flexures_far_from_their_bodies_are_reported():
 def test_positions_in_millimeters_are_reported_without_outlines():
     leaf = tj.flexures.leaf(STEEL, length=50e-3, thickness=0.5e-3, width=5e-3)
 
-    def build(x, y, scale=1.0):
-        hinge = tj.Hinge("leaf", "base", "table", leaf, at=(np.pi / 2, x, y))
+    def build(x, y, scale=1.0, outline=None):
+        at = (np.pi / 2, x, y)
+        hinge = tj.Hinge("leaf", "base", "table", leaf, at, outline=outline)
         bodies = [tj.Body("base"), tj.Body("table", (0.0, 0.0, 0.06 * scale))]
         tj.Mechanism(bodies, [hinge], fixed=["base"])
 
     build(-14.0, 0.03)
+    build(-0.04, 0.03, outline=[(0.0, 0.0), (0.0, 0.01), (0.0, 0.02)])  # no length
     for wrong in ((-40.0, 30.0), (-40.0, 0.03), (-0.04, 0.03, 1e3)):
         with pytest.warns(UserWarning, match="'leaf', of length 0.05 m, is .* m away"):
             build(*wrong)

@@ -79,10 +79,10 @@ def test_load_cases_that_all_fail(run_here):
     ],
 )
 def test_an_option_that_has_no_effect_without_another(run_here, arguments, needed):
-    command, option, *_ = arguments
+    command, *options = arguments
     (run_here.folder / "guide.json").touch()
-    done = run_here(command, "guide.json", *arguments[1:])
-    assert_usage_error(done, f"{option} needs {needed}")
+    done = run_here(command, "guide.json", *options)
+    assert_usage_error(done, f"{options[0]} needs {needed}")
 
 
 def test_an_unknown_command(run_here):

@@ -24,6 +24,7 @@ from .common import (
 
 # Context of the error for a web that the formula of the notches does not allow
 _UNUSABLE_WEB = "--web cannot be used with holes of 3 mm: "
+_DAMPING_TIME = 1e-3  # ratio of damping to stiffness by default; s
 
 
 def stage(
@@ -64,7 +65,7 @@ def stage(
             help="With --transient: ratio of damping to stiffness; s.",
             callback=check_positive,
         ),
-    ] = 1e-3,
+    ] = _DAMPING_TIME,
 ) -> None:
     """Compute the displacement gain of the micropositioning stage (chapter 6).
 
@@ -78,7 +79,7 @@ def stage(
     """
     if step and not transient:
         raise UsageError("--step needs --transient: it selects the input of a motion.")
-    if damping_time != 1e-3 and not transient:
+    if damping_time != _DAMPING_TIME and not transient:
         raise UsageError("--damping-time needs --transient, a motion.")
     if transient and temperature is not None:
         raise UsageError("--temperature is for the static gain, without --transient.")
